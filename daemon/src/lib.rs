@@ -1,0 +1,2 @@
+//! Capture daemon, structured light and command line of gv3.
+#![deny(unsafe_code)]

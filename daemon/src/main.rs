@@ -1,0 +1,2 @@
+//! `gv3`, the command.
+fn main() {}
