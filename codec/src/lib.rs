@@ -3,8 +3,12 @@
 //! Same input, same bytes. No input or output beyond byte slices, no threads of its own making, no clock.
 #![forbid(unsafe_code)]
 
+pub mod bits;
 mod error;
+mod linalg;
 pub mod mesh;
+pub mod motion;
+pub mod param;
 mod picture;
 mod scan;
 

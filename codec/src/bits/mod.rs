@@ -1,0 +1,5 @@
+//! Bytes and bits: integers on the wire, connectivity, quantized attributes.
+
+pub mod attributes;
+pub mod bytes;
+pub mod connectivity;

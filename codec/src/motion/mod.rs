@@ -1,0 +1,3 @@
+//! Motion over time.
+
+pub mod spline;

@@ -1,0 +1,126 @@
+//! Thin-plate spline of the plane with affine part: the warp after Möbius for scans, whose border slips.
+
+use crate::{CodecError, Result};
+use faer::prelude::*;
+use glam::DVec2;
+
+/// f(z) = c0 + c1 x + c2 y + sum_k w_k U(|z - p_k|), U(r) = r^2 ln r^2 (Bookstein 1989), smoothed (Wahba 1990).
+#[derive(Debug, Clone)]
+pub struct ThinPlate {
+    centres: Vec<DVec2>,
+    weights: Vec<DVec2>,
+    affine: [DVec2; 3],
+}
+
+impl ThinPlate {
+    /// Fits `from` to `to`; `smoothing` >= 0 is added to the kernel's diagonal (0 interpolates).
+    ///
+    /// # Errors
+    /// [`CodecError::Mesh`] with fewer than three points or points all on one line.
+    pub fn fit(from: &[DVec2], to: &[DVec2], smoothing: f64) -> Result<Self> {
+        let n = from.len();
+        if n < 3 || to.len() != n {
+            return Err(CodecError::Mesh(format!("a thin plate needs three or more landmarks, got {n}")));
+        }
+        let m = n + 3;
+        let mut a = Mat::<f64>::zeros(m, m);
+        let mut rhs = Mat::<f64>::zeros(m, 2);
+        for i in 0..n {
+            for j in 0..i {
+                let u = kernel(from[i].distance_squared(from[j]));
+                a[(i, j)] = u;
+                a[(j, i)] = u;
+            }
+            a[(i, i)] = smoothing;
+            for (k, v) in [1.0, from[i].x, from[i].y].into_iter().enumerate() {
+                a[(i, n + k)] = v;
+                a[(n + k, i)] = v;
+            }
+            rhs[(i, 0)] = to[i].x;
+            rhs[(i, 1)] = to[i].y;
+        }
+        let x = a.partial_piv_lu().solve(&rhs);
+        let row = |i: usize| DVec2::new(x[(i, 0)], x[(i, 1)]);
+        let plate = Self {
+            centres: from.to_vec(),
+            weights: (0..n).map(row).collect(),
+            affine: [row(n), row(n + 1), row(n + 2)],
+        };
+        if plate.weights.iter().chain(&plate.affine).any(|w| !w.is_finite()) {
+            return Err(CodecError::Mesh("the landmarks lie on one line or coincide".into()));
+        }
+        Ok(plate)
+    }
+
+    /// Image of `z`.
+    pub fn apply(&self, z: DVec2) -> DVec2 {
+        let mut sum = self.affine[0] + self.affine[1] * z.x + self.affine[2] * z.y;
+        for (&c, &w) in self.centres.iter().zip(&self.weights) {
+            sum += w * kernel(z.distance_squared(c));
+        }
+        sum
+    }
+}
+
+/// r^2 ln r^2 from r^2.
+fn kernel(r2: f64) -> f64 {
+    r2 * ln(r2.max(1e-30))
+}
+
+/// Natural logarithm of a normal positive number, relative error below 1e-9: exponent, then the odd series of
+/// 2 atanh((m-1)/(m+1)) on m in [sqrt(1/2), sqrt(2)).
+fn ln(x: f64) -> f64 {
+    const SQRT_HALF_BITS: u64 = 0x3FE6_A09E_667F_3BCD;
+    let bits = x.to_bits();
+    let exponent = ((bits.wrapping_sub(SQRT_HALF_BITS)) as i64) >> 52;
+    let mantissa = f64::from_bits(bits.wrapping_sub((exponent as u64) << 52));
+    let s = (mantissa - 1.0) / (mantissa + 1.0);
+    let t = s * s;
+    let series = 1.0 + t * (1.0 / 3.0 + t * (0.2 + t * (1.0 / 7.0 + t * (1.0 / 9.0 + t * (1.0 / 11.0)))));
+    exponent as f64 * std::f64::consts::LN_2 + 2.0 * s * series
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn spiral(n: u32) -> Vec<DVec2> {
+        (0..n).map(|k| DVec2::from_angle(f64::from(k) * 2.399) * (f64::from(k) / f64::from(n)).sqrt()).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn logarithm_is_accurate(x in 1e-20..1e6f64) {
+            prop_assert!((ln(x) - x.ln()).abs() <= 2e-9 * x.ln().abs().max(1.0));
+        }
+
+        #[test]
+        fn interpolates_landmarks(seed in 0u64..1000) {
+            let from = spiral(30);
+            let to: Vec<DVec2> = from.iter().enumerate()
+                .map(|(i, p)| *p + DVec2::new((i as f64 + seed as f64).sin(), (i as f64 * 1.3).cos()) * 0.02).collect();
+            let plate = ThinPlate::fit(&from, &to, 0.0).unwrap();
+            for (p, q) in from.iter().zip(&to) {
+                prop_assert!((plate.apply(*p) - *q).length() < 1e-8);
+            }
+        }
+    }
+
+    #[test]
+    fn reproduces_affine_maps_everywhere_even_smoothed() {
+        let from = spiral(20);
+        let affine = |p: DVec2| DVec2::new(0.1 + 1.2 * p.x - 0.3 * p.y, -0.2 + 0.1 * p.x + 0.9 * p.y);
+        let to: Vec<DVec2> = from.iter().map(|&p| affine(p)).collect();
+        let plate = ThinPlate::fit(&from, &to, 0.1).unwrap();
+        let z = DVec2::new(0.37, -0.81);
+        assert!((plate.apply(z) - affine(z)).length() < 1e-9);
+    }
+
+    #[test]
+    fn refuses_points_on_a_line() {
+        let line: Vec<DVec2> = (0..5).map(|i| DVec2::new(f64::from(i), 0.0)).collect();
+        assert!(ThinPlate::fit(&line, &line, 0.0).is_err());
+        assert!(ThinPlate::fit(&line[..2], &line[..2], 0.0).is_err());
+    }
+}

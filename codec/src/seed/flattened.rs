@@ -1,0 +1,90 @@
+//! A keyframe laid on its disk, ready to be matched and looked up.
+
+use super::group::{Group, LandmarkPair};
+use crate::param::disk::{DiskMap, disk_map};
+use crate::param::locate::{DiskLocator, Place};
+use crate::param::matching::DiskMatch;
+use crate::{GreyPicture, Result};
+use glam::DVec2;
+
+/// A decoded keyframe with its conformal map.
+pub struct Flattened {
+    /// Surface, stamps and landmarks.
+    pub group: Group,
+    /// Texture, if the session has one.
+    pub texture: Option<GreyPicture>,
+    /// Conformal map of the surface.
+    pub disk: DiskMap,
+    locator: DiskLocator,
+}
+
+impl Flattened {
+    /// Maps the keyframe of a group to the disk.
+    ///
+    /// # Errors
+    /// As [`disk_map`].
+    pub fn new(group: Group, texture: Option<GreyPicture>) -> Result<Self> {
+        let disk = disk_map(&group.mesh)?;
+        let locator = DiskLocator::new(&disk.points, &group.mesh.triangles);
+        Ok(Self { group, texture, disk, locator })
+    }
+
+    /// Place on the surface at a point of the disk, the nearest one outside it.
+    pub fn locate(&self, z: DVec2) -> Option<Place> {
+        self.locator.locate(&self.disk.points, &self.group.mesh.triangles, z)
+    }
+
+    /// Point of the disk at a place.
+    pub fn disk_point(&self, place: Place) -> DVec2 {
+        let corners = self.group.mesh.triangles[place.triangle as usize];
+        corners.iter().zip(place.barycentric).map(|(&v, w)| self.disk.points[v as usize] * f64::from(w)).sum()
+    }
+}
+
+/// Matching functions between two neighbouring keyframes, there and back, through the landmarks stored with the later.
+pub struct Neighbours {
+    /// From the earlier disk to the later.
+    pub forward: DiskMatch,
+    /// From the later disk to the earlier.
+    pub backward: DiskMatch,
+}
+
+impl Neighbours {
+    /// Matches two keyframes that follow each other.
+    pub fn new(earlier: &Flattened, later: &Flattened) -> Self {
+        let known = |p: &&LandmarkPair| (p.before.triangle as usize) < earlier.group.mesh.triangles.len();
+        let mut pairs: Vec<(DVec2, DVec2)> = (later.group.landmarks.iter().filter(known))
+            .map(|p| (earlier.disk_point(p.before), later.disk_point(p.here)))
+            .collect();
+        if pairs.len() < MIN_LANDMARKS {
+            pairs = nearest_pairs(earlier, later);
+        }
+        let (from, to): (Vec<DVec2>, Vec<DVec2>) = pairs.into_iter().unzip();
+        Self {
+            forward: DiskMatch::fit(&from, &to, &earlier.disk.points, &earlier.group.mesh.triangles),
+            backward: DiskMatch::fit(&to, &from, &later.disk.points, &later.group.mesh.triangles),
+        }
+    }
+}
+
+/// With fewer tracked landmarks the matching rests on points that lie nearest in the frontal view.
+const MIN_LANDMARKS: usize = 12;
+
+/// Pairs of vertices that lie at nearly the same frontal position: what remains when nothing could be tracked, right for
+/// slow motion only.
+fn nearest_pairs(earlier: &Flattened, later: &Flattened) -> Vec<(DVec2, DVec2)> {
+    const SIDE: usize = 10;
+    let (lo, hi) = earlier.group.mesh.bounds_mm();
+    let cell = (hi - lo).truncate() / SIDE as f32;
+    let nearest = |f: &Flattened, at: glam::Vec2| {
+        let distance = |p: &glam::Vec3| p.truncate().distance_squared(at);
+        let best = f.group.mesh.positions_mm.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)))?;
+        (distance(best.1) < cell.length_squared() / 64.0).then(|| f.disk.points[best.0])
+    };
+    (0..SIDE * SIDE)
+        .filter_map(|i| {
+            let at = lo.truncate() + cell * glam::Vec2::new((i % SIDE) as f32 + 0.5, (i / SIDE) as f32 + 0.5);
+            Some((nearest(earlier, at)?, nearest(later, at)?))
+        })
+        .collect()
+}

@@ -1,0 +1,190 @@
+//! Group payload: the scans between two keyframes and the keyframe that closes them.
+
+use super::surface;
+use crate::bits::attributes::{put_section, take_section};
+use crate::bits::bytes::{ByteReader, put_varint, unzigzag64, zigzag64};
+use crate::mesh::TriMesh;
+use crate::param::locate::Place;
+use crate::{CodecError, Result, StreamHeader};
+
+/// Most scans in a group.
+pub const MAX_SCANS: u64 = 65_536;
+
+/// Most landmarks a keyframe carries.
+pub const MAX_LANDMARKS: u64 = 4096;
+
+/// Largest tick: times in nanoseconds must fit 63 bits.
+pub const MAX_TICK: u64 = 1 << 40;
+
+/// When a scan was taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stamp {
+    /// Sensor time in scan periods.
+    pub tick: u64,
+    /// Sensor time in nanoseconds since the run began.
+    pub time_nanos: u64,
+}
+
+/// The same point of the surface on the keyframe before and on this one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LandmarkPair {
+    /// Place on the keyframe before.
+    pub before: Place,
+    /// Place on this keyframe.
+    pub here: Place,
+}
+
+/// A decoded group.
+#[derive(Debug, Clone)]
+pub struct Group {
+    /// Scans of the group in time order; the last is the keyframe.
+    pub stamps: Vec<Stamp>,
+    /// Surface of the keyframe.
+    pub mesh: TriMesh,
+    /// Landmarks shared with the keyframe before; none in the first group of a run.
+    pub landmarks: Vec<LandmarkPair>,
+}
+
+impl Group {
+    /// Stamp of the keyframe.
+    pub fn key(&self) -> Stamp {
+        self.stamps[self.stamps.len() - 1]
+    }
+}
+
+/// Writes a group around a coded surface.
+///
+/// # Errors
+/// [`CodecError::Stream`] when stamps are missing, too many, or do not increase; when there are too many landmarks.
+pub fn encode(header: &StreamHeader, stamps: &[Stamp], surface: &[u8], landmarks: &[LandmarkPair]) -> Result<Vec<u8>> {
+    let increasing = stamps.windows(2).all(|w| w[0].tick < w[1].tick);
+    let in_range = stamps.iter().all(|s| s.tick <= MAX_TICK && s.time_nanos < 1 << 62);
+    if stamps.is_empty() || stamps.len() as u64 > MAX_SCANS || !increasing || !in_range {
+        return Err(CodecError::Stream("a group needs 1 to 65536 scans with increasing ticks".into()));
+    }
+    let mut out = Vec::new();
+    put_varint(&mut out, stamps.len() as u64);
+    let mut before = 0;
+    for s in stamps {
+        put_varint(&mut out, s.tick - before);
+        before = s.tick;
+        put_varint(&mut out, zigzag64(s.time_nanos as i64 - (s.tick * header.scan_period_nanos) as i64));
+    }
+    out.extend_from_slice(surface);
+    let mut pairs = Vec::new();
+    put_varint(&mut pairs, landmarks.len() as u64);
+    for pair in landmarks {
+        put_place(&mut pairs, pair.before);
+        put_place(&mut pairs, pair.here);
+    }
+    put_section(&mut out, &pairs)?;
+    Ok(out)
+}
+
+/// Reads a group.
+///
+/// # Errors
+/// [`CodecError::Payload`] at the first byte that does not follow FORMAT.md, "Group".
+pub fn decode(header: &StreamHeader, bytes: &[u8]) -> Result<Group> {
+    let mut reader = ByteReader::new(bytes, "group");
+    let count = reader.varint_up_to(MAX_SCANS, "scan count")?;
+    let mut stamps: Vec<Stamp> = Vec::new();
+    for i in 0..count {
+        let step = reader.varint_up_to(MAX_TICK, "tick step")?;
+        let tick = stamps.last().map_or(0, |s| s.tick) + step;
+        if tick > MAX_TICK || (i > 0 && step == 0) {
+            return Err(reader.error(format!("tick {tick} does not follow the one before")));
+        }
+        let offset = unzigzag64(reader.varint()?);
+        let time = i128::from(tick) * i128::from(header.scan_period_nanos) + i128::from(offset);
+        let time_nanos = u64::try_from(time).ok().filter(|t| *t < 1 << 62);
+        stamps.push(Stamp { tick, time_nanos: time_nanos.ok_or_else(|| reader.error("a time out of range"))? });
+    }
+    if stamps.is_empty() {
+        return Err(reader.error("a group without scans"));
+    }
+    let mesh = surface::decode(&mut reader, header.position_step_mm)?;
+    let pairs = take_section(&mut reader, (5 + 14 * MAX_LANDMARKS) as usize, "landmarks")?;
+    reader.finish()?;
+    let landmarks = decode_landmarks(&pairs, mesh.triangles.len() as u64)?;
+    Ok(Group { stamps, mesh, landmarks })
+}
+
+fn decode_landmarks(bytes: &[u8], triangles: u64) -> Result<Vec<LandmarkPair>> {
+    let mut reader = ByteReader::new(bytes, "landmarks");
+    let count = reader.varint_up_to(MAX_LANDMARKS, "landmark count")?;
+    let mut pairs = Vec::new();
+    for _ in 0..count {
+        let before = take_place(&mut reader, 2 * surface::MAX_VERTICES)?;
+        pairs.push(LandmarkPair { before, here: take_place(&mut reader, triangles)? });
+    }
+    reader.finish()?;
+    Ok(pairs)
+}
+
+/// Triangle, then the weights of its first two corners in 255ths.
+fn put_place(out: &mut Vec<u8>, place: Place) {
+    put_varint(out, place.triangle.into());
+    let first = (place.barycentric[0].clamp(0.0, 1.0) * 255.0).round() as u8;
+    let second = (place.barycentric[1].clamp(0.0, 1.0) * 255.0).round() as u8;
+    out.extend([first, second.min(255 - first)]);
+}
+
+fn take_place(reader: &mut ByteReader<'_>, triangles: u64) -> Result<Place> {
+    let triangle = reader.varint_up_to(triangles.saturating_sub(1), "triangle")? as u32;
+    let (first, second) = (reader.u8()?, reader.u8()?);
+    if u16::from(first) + u16::from(second) > 255 {
+        return Err(reader.error("weights of a place add up to more than one"));
+    }
+    let barycentric = [first, second, 255 - first - second].map(|w| f32::from(w) / 255.0);
+    Ok(Place { triangle, barycentric })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Mode;
+    use crate::bits::connectivity::tests::random_disk;
+
+    const HEADER: StreamHeader =
+        StreamHeader { mode: Mode::Seed, keyframe_interval: 10, scan_period_nanos: 33_333_333, position_step_mm: 0.05 };
+
+    fn example() -> Vec<u8> {
+        let mesh = random_disk(&(0..30).map(|i| i * 7919).collect::<Vec<u16>>());
+        let surface = surface::encode(&mesh, HEADER.position_step_mm, None).unwrap();
+        let place = |t| Place { triangle: t, barycentric: [0.2, 0.4, 0.4] };
+        let pairs = [LandmarkPair { before: place(70_000), here: place(3) }];
+        let stamps = [Stamp { tick: 3, time_nanos: 100_000_123 }, Stamp { tick: 10, time_nanos: 333_333_333 }];
+        encode(&HEADER, &stamps, &surface.bytes, &pairs).unwrap()
+    }
+
+    #[test]
+    fn round_trip() {
+        let group = decode(&HEADER, &example()).unwrap();
+        assert_eq!(group.stamps[0], Stamp { tick: 3, time_nanos: 100_000_123 });
+        assert_eq!(group.key(), Stamp { tick: 10, time_nanos: 333_333_333 });
+        assert_eq!(group.landmarks[0].before.triangle, 70_000);
+        assert!((group.landmarks[0].here.barycentric[1] - 0.4).abs() < 1e-6);
+    }
+
+    #[test]
+    fn every_prefix_fails_and_one_more_byte_fails_and_no_flip_panics() {
+        let bytes = example();
+        for n in 0..bytes.len() {
+            assert!(decode(&HEADER, &bytes[..n]).is_err(), "{n}");
+        }
+        assert!(decode(&HEADER, &[&bytes[..], &[0]].concat()).is_err());
+        for i in 0..bytes.len() * 8 {
+            let mut bad = bytes.clone();
+            bad[i / 8] ^= 1 << (i % 8);
+            let _ = decode(&HEADER, &bad);
+        }
+    }
+
+    #[test]
+    fn ticks_must_increase() {
+        let s = Stamp { tick: 1, time_nanos: 0 };
+        assert!(encode(&HEADER, &[s, s], &[], &[]).is_err());
+        assert!(encode(&HEADER, &[], &[], &[]).is_err());
+    }
+}

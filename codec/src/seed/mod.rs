@@ -1,0 +1,17 @@
+//! `--mode seed`, the published scheme: decimated keyframes, conformal matching of neighbours, natural cubic spline.
+//!
+//! Scan -> [`Encoder`] -> [`EncodedGroup`]; bytes -> [`Group`] -> [`Player`] -> scan at any time.
+
+mod encoder;
+mod flattened;
+mod group;
+mod interval;
+mod landmarks;
+mod player;
+mod surface;
+
+pub use encoder::{EncodedGroup, Encoder, EncoderConfig, Pushed};
+pub use flattened::Flattened;
+pub use group::{Group, LandmarkPair, Stamp};
+pub use interval::Interval;
+pub use player::{KNOT_REACH, Player};
