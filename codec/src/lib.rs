@@ -5,8 +5,10 @@
 
 mod error;
 pub mod mesh;
+pub mod motion;
 mod picture;
 mod scan;
+pub mod texture;
 
 pub use error::{CodecError, Result};
 pub use picture::GreyPicture;
