@@ -11,7 +11,11 @@ pub mod motion;
 pub mod param;
 mod picture;
 mod scan;
+pub mod seed;
+mod stream_header;
+pub mod texture;
 
 pub use error::{CodecError, Result};
 pub use picture::GreyPicture;
 pub use scan::Scan;
+pub use stream_header::{FORMAT_VERSION, Mode, StreamHeader};
