@@ -1,7 +1,9 @@
 //! Triangle meshes: storage, topology, repair, simplification, nearest points.
 
+mod bvh;
 pub mod half_edge;
 mod tri_mesh;
 
+pub use bvh::{Bvh, Nearest};
 pub use half_edge::HalfEdges;
 pub use tri_mesh::TriMesh;
