@@ -3,5 +3,6 @@
 pub mod disk;
 pub mod intrinsic;
 pub mod locate;
+pub mod matching;
 pub mod mobius;
 pub mod thin_plate;

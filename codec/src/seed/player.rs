@@ -1,9 +1,8 @@
 //! Plays a run of seed groups at any time: fetches the keyframes around it, keeps what the next call will need.
 
 use super::flattened::{Flattened, Neighbours};
-use super::group::Group;
 use super::interval::{Interval, Window};
-use crate::{CodecError, GreyPicture, Result, Scan, StreamHeader};
+use crate::{CodecError, Result, Scan, StreamHeader};
 use std::collections::BTreeMap;
 
 /// Keyframes on either side of an interval that shape its spline. The pull of a knot falls by 2 - sqrt(3) from knot to
@@ -87,7 +86,7 @@ impl Player {
     }
 
     fn decode(&self, geometry: &[u8], texture: Option<&[u8]>) -> Result<Flattened> {
-        let group = Group::decode(&self.header, geometry)?;
+        let group = super::group::decode(&self.header, geometry)?;
         let texture = texture.map(crate::texture::decode_key_texture).transpose()?;
         Flattened::new(group, texture)
     }

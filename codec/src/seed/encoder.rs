@@ -1,0 +1,173 @@
+//! Encoder of the seed mode: one scan in, a group out whenever a keyframe closes it.
+
+use super::group::{self, Stamp};
+use super::landmarks::LandmarkTrail;
+use super::surface::{self, TextureFrame};
+use crate::mesh::TriMesh;
+use crate::mesh::repair::{RepairOptions, RepairReport, to_disk};
+use crate::mesh::simplify::{SimplifyOptions, simplify};
+use crate::motion::PixelMap;
+use crate::texture::{encode_key_texture, fit_camera};
+use crate::{CodecError, Result, Scan, StreamHeader};
+
+/// What the encoder may be told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EncoderConfig {
+    /// Written before the first group.
+    pub header: StreamHeader,
+    /// A keyframe keeps at most one vertex in this many (at least 2).
+    pub vertex_ratio: u32,
+    /// JPEG quality of key textures, 1 to 100.
+    pub texture_quality: u8,
+    /// How scans become disks.
+    pub repair: RepairOptions,
+}
+
+impl EncoderConfig {
+    /// The published scheme's settings: a sixth of the vertices, every tenth scan, for scans of one period.
+    pub fn new(scan_period_nanos: u64) -> Self {
+        let header = StreamHeader {
+            mode: crate::Mode::Seed,
+            keyframe_interval: 10,
+            scan_period_nanos,
+            position_step_mm: 0.05,
+        };
+        Self { header, vertex_ratio: 6, texture_quality: 85, repair: RepairOptions::default() }
+    }
+}
+
+/// A group ready to be stored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EncodedGroup {
+    /// Stamp of the group's first scan.
+    pub first: Stamp,
+    /// Stamp of the keyframe that closes it.
+    pub key: Stamp,
+    /// Scans in the group, keyframe included.
+    pub scans: usize,
+    /// Payload "group".
+    pub geometry: Vec<u8>,
+    /// Payload "texture".
+    pub texture: Option<Vec<u8>>,
+}
+
+/// What became of a scan.
+#[derive(Debug, Default)]
+pub struct Pushed {
+    /// The group it closed, if it was a keyframe.
+    pub group: Option<EncodedGroup>,
+    /// What had to be mended before it could be a keyframe.
+    pub repair: Option<RepairReport>,
+    /// Why a keyframe was due but this scan could not be one; the next scan is tried.
+    pub not_key: Option<CodecError>,
+}
+
+/// Encoder of one run.
+pub struct Encoder {
+    config: EncoderConfig,
+    trail: LandmarkTrail,
+    stamps: Vec<Stamp>,
+    last: Option<Scan>,
+    last_stamp: Option<Stamp>,
+    next_key_tick: u64,
+}
+
+impl Encoder {
+    /// An encoder that has seen nothing.
+    ///
+    /// # Errors
+    /// [`CodecError::Stream`] naming a setting out of range.
+    pub fn new(config: EncoderConfig) -> Result<Self> {
+        config.header.validate()?;
+        if config.vertex_ratio < 2 || !(1..=100).contains(&config.texture_quality) {
+            return Err(CodecError::Stream("vertex ratio below 2, or texture quality outside 1 to 100".into()));
+        }
+        let trail = LandmarkTrail::default();
+        Ok(Self { config, trail, stamps: Vec::new(), last: None, last_stamp: None, next_key_tick: 0 })
+    }
+
+    /// Stream header of the run.
+    pub fn header(&self) -> StreamHeader {
+        self.config.header
+    }
+
+    /// Takes the next scan.
+    ///
+    /// # Errors
+    /// [`CodecError::Stream`] when its tick does not follow, [`CodecError::Mesh`] when it is no mesh at all; the scan is
+    /// then not part of the run.
+    pub fn push(&mut self, scan: Scan) -> Result<Pushed> {
+        let stamp = Stamp { tick: scan.tick, time_nanos: scan.time_nanos };
+        if self.last_stamp.is_some_and(|l| stamp.tick <= l.tick || stamp.time_nanos <= l.time_nanos) {
+            return Err(CodecError::Stream(format!("scan at tick {} does not follow the one before it", scan.tick)));
+        }
+        scan.mesh.validate()?;
+        let mut pushed = Pushed::default();
+        let due = self.last_stamp.is_none() || stamp.tick >= self.next_key_tick;
+        let prepared = match due.then(|| self.prepare(&scan.mesh)) {
+            Some(Ok((mesh, report))) => {
+                pushed.repair = report.changed().then_some(report);
+                Some(mesh)
+            }
+            Some(Err(error)) if self.last_stamp.is_none() => return Err(error),
+            Some(Err(error)) => {
+                pushed.not_key = Some(error);
+                None
+            }
+            None => None,
+        };
+        self.trail.feed(&scan, prepared.is_some())?;
+        self.stamps.push(stamp);
+        self.last_stamp = Some(stamp);
+        match prepared {
+            Some(mesh) => pushed.group = Some(self.close_group(&scan, &mesh)?),
+            None => self.last = Some(scan),
+        }
+        Ok(pushed)
+    }
+
+    /// Ends the run: the scans since the last keyframe are closed by the last of them as a keyframe.
+    ///
+    /// # Errors
+    /// [`CodecError::Mesh`] when that scan cannot be a keyframe.
+    pub fn finish(mut self) -> Result<Option<EncodedGroup>> {
+        let Some(scan) = self.last.take() else { return Ok(None) };
+        let (mesh, _) = self.prepare(&scan.mesh)?;
+        self.close_group(&scan, &mesh).map(Some)
+    }
+
+    /// Cleaned to a disk, then decimated where flat.
+    fn prepare(&self, mesh: &TriMesh) -> Result<(TriMesh, RepairReport)> {
+        let (disk, report) = to_disk(mesh, &self.config.repair)?;
+        let target = (mesh.vertex_count() / self.config.vertex_ratio as usize).max(4);
+        let (small, _) = simplify(&disk, target, &SimplifyOptions::default())?;
+        Ok((small, report))
+    }
+
+    fn close_group(&mut self, scan: &Scan, mesh: &TriMesh) -> Result<EncodedGroup> {
+        let frame = texture_frame(scan);
+        let coded = surface::encode(mesh, self.config.header.position_step_mm, frame)?;
+        let landmarks = self.trail.close_keyframe(scan, &coded.decoded)?;
+        let geometry = group::encode(&self.config.header, &self.stamps, &coded.bytes, &landmarks)?;
+        let texture = match (&scan.texture, &coded.decoded.uv) {
+            (Some(picture), Some(_)) => {
+                let map = PixelMap::new(&coded.decoded, picture.width_px, picture.height_px)?;
+                Some(encode_key_texture(picture, &map.mask().inside, self.config.texture_quality)?)
+            }
+            _ => None,
+        };
+        let stamps = std::mem::take(&mut self.stamps);
+        let (first, key) = (stamps[0], stamps[stamps.len() - 1]);
+        let interval = u64::from(self.config.header.keyframe_interval);
+        self.next_key_tick = (key.tick / interval + 1) * interval;
+        self.last = None;
+        Ok(EncodedGroup { first, key, scans: stamps.len(), geometry, texture })
+    }
+}
+
+fn texture_frame(scan: &Scan) -> Option<TextureFrame> {
+    let (picture, uv) = (scan.texture.as_ref()?, scan.mesh.uv.as_ref()?);
+    let uv_px: Vec<[f32; 2]> = uv.iter().map(|&t| picture.uv_to_px(t)).collect();
+    let camera = fit_camera(&scan.mesh.positions_mm, &uv_px);
+    Some(TextureFrame { size_px: [picture.width_px, picture.height_px], camera })
+}
