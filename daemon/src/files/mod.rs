@@ -8,11 +8,11 @@ mod assemble;
 mod error;
 pub mod obj;
 pub mod picture;
-//PLY
-//SC pub mod scan_export;
-//SC pub mod scan_folder;
+pub mod ply;
+pub mod scan_export;
+pub mod scan_folder;
 
 pub use assemble::{MeshFile, Repairs};
 pub use error::{FileError, Result};
-//SC pub use scan_export::{ExportFormat, ExportWriter};
-//SC pub use scan_folder::{LoadedScan, ScanFolder};
+pub use scan_export::{ExportFormat, ExportWriter};
+pub use scan_folder::{LoadedScan, ScanFolder};
