@@ -1,0 +1,8 @@
+//! Whatever the bytes, the PLY reader gives an error or a valid mesh.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    if let Ok(file) = gv3::files::ply::parse_ply(bytes, std::path::Path::new("fuzz")) {
+        file.mesh.validate().expect("a mesh that was read is valid");
+    }
+});

@@ -1,0 +1,18 @@
+//! Files that other programs read and write: OBJ, PLY, BMP and PNG, one by one and as folders of scans.
+//!
+//! Every reader works on a byte slice (`parse_*`) with a path wrapper on top (`read_*`); bad bytes give a
+//! [`FileError`] that names the file and the line, element or byte, never a panic, and limits are checked before
+//! memory is taken.
+
+mod assemble;
+mod error;
+pub mod obj;
+pub mod picture;
+pub mod ply;
+pub mod scan_export;
+pub mod scan_folder;
+
+pub use assemble::{MeshFile, Repairs};
+pub use error::{FileError, Result};
+pub use scan_export::{ExportFormat, ExportWriter};
+pub use scan_folder::{LoadedScan, ScanFolder};

@@ -1,0 +1,7 @@
+//! Pictures of meshes, side-by-side comparisons and plots of errors, drawn in software.
+
+pub mod colour_map;
+pub mod compare;
+pub mod plot;
+pub mod render;
+mod text;
