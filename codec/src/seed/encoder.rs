@@ -69,6 +69,7 @@ pub struct Encoder {
     stamps: Vec<Stamp>,
     last: Option<Scan>,
     last_stamp: Option<Stamp>,
+    key_tick: Option<u64>,
     next_key_tick: u64,
 }
 
@@ -83,7 +84,7 @@ impl Encoder {
             return Err(CodecError::Stream("vertex ratio below 2, or texture quality outside 1 to 100".into()));
         }
         let trail = LandmarkTrail::default();
-        Ok(Self { config, trail, stamps: Vec::new(), last: None, last_stamp: None, next_key_tick: 0 })
+        Ok(Self { config, trail, stamps: Vec::new(), last: None, last_stamp: None, key_tick: None, next_key_tick: 0 })
     }
 
     /// Stream header of the run.
@@ -148,7 +149,8 @@ impl Encoder {
         let frame = texture_frame(scan);
         let coded = surface::encode(mesh, self.config.header.position_step_mm, frame)?;
         let landmarks = self.trail.close_keyframe(scan, &coded.decoded)?;
-        let geometry = group::encode(&self.config.header, &self.stamps, &coded.bytes, &landmarks)?;
+        let before = (self.key_tick, &landmarks[..]);
+        let geometry = group::encode(&self.config.header, &self.stamps, &coded.bytes, before)?;
         let texture = match (&scan.texture, &coded.decoded.uv) {
             (Some(picture), Some(_)) => {
                 let map = PixelMap::new(&coded.decoded, picture.width_px, picture.height_px)?;
@@ -160,6 +162,7 @@ impl Encoder {
         let (first, key) = (stamps[0], stamps[stamps.len() - 1]);
         let interval = u64::from(self.config.header.keyframe_interval);
         self.next_key_tick = (key.tick / interval + 1) * interval;
+        self.key_tick = Some(key.tick);
         self.last = None;
         Ok(EncodedGroup { first, key, scans: stamps.len(), geometry, texture })
     }

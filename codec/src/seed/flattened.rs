@@ -52,7 +52,9 @@ pub struct Neighbours {
 impl Neighbours {
     /// Matches two keyframes that follow each other.
     pub fn new(earlier: &Flattened, later: &Flattened) -> Self {
-        let known = |p: &&LandmarkPair| (p.before.triangle as usize) < earlier.group.mesh.triangles.len();
+        // After a loss the keyframe before may not be the one that the landmarks were placed on.
+        let follows = later.group.before_tick == Some(earlier.group.key().tick);
+        let known = |p: &&LandmarkPair| follows && (p.before.triangle as usize) < earlier.group.mesh.triangles.len();
         let mut pairs: Vec<(DVec2, DVec2)> = (later.group.landmarks.iter().filter(known))
             .map(|p| (earlier.disk_point(p.before), later.disk_point(p.here)))
             .collect();

@@ -39,9 +39,11 @@ pub struct LandmarkPair {
 pub struct Group {
     /// Scans of the group in time order; the last is the keyframe.
     pub stamps: Vec<Stamp>,
+    /// Tick of the keyframe that the landmarks refer to; none in the first group of a run.
+    pub before_tick: Option<u64>,
     /// Surface of the keyframe.
     pub mesh: TriMesh,
-    /// Landmarks shared with the keyframe before; none in the first group of a run.
+    /// Landmarks shared with the keyframe before.
     pub landmarks: Vec<LandmarkPair>,
 }
 
@@ -52,11 +54,16 @@ impl Group {
     }
 }
 
-/// Writes a group around a coded surface.
+/// Writes a group around a coded surface; `before_tick` is the keyframe that `landmarks` refer to.
 ///
 /// # Errors
 /// [`CodecError::Stream`] when stamps are missing, too many, or do not increase; when there are too many landmarks.
-pub fn encode(header: &StreamHeader, stamps: &[Stamp], surface: &[u8], landmarks: &[LandmarkPair]) -> Result<Vec<u8>> {
+pub fn encode(
+    header: &StreamHeader,
+    stamps: &[Stamp],
+    surface: &[u8],
+    (before_tick, landmarks): (Option<u64>, &[LandmarkPair]),
+) -> Result<Vec<u8>> {
     let increasing = stamps.windows(2).all(|w| w[0].tick < w[1].tick);
     let in_range = stamps.iter().all(|s| s.tick <= MAX_TICK && s.time_nanos < 1 << 62);
     if stamps.is_empty() || stamps.len() as u64 > MAX_SCANS || !increasing || !in_range {
@@ -70,6 +77,7 @@ pub fn encode(header: &StreamHeader, stamps: &[Stamp], surface: &[u8], landmarks
         before = s.tick;
         put_varint(&mut out, zigzag64(s.time_nanos as i64 - (s.tick * header.scan_period_nanos) as i64));
     }
+    put_varint(&mut out, before_tick.map_or(0, |t| t + 1));
     out.extend_from_slice(surface);
     let mut pairs = Vec::new();
     put_varint(&mut pairs, landmarks.len() as u64);
@@ -81,12 +89,15 @@ pub fn encode(header: &StreamHeader, stamps: &[Stamp], surface: &[u8], landmarks
     Ok(out)
 }
 
-/// Reads a group.
+/// Reads the stamps of a group without its surface.
 ///
 /// # Errors
 /// [`CodecError::Payload`] at the first byte that does not follow FORMAT.md, "Group".
-pub fn decode(header: &StreamHeader, bytes: &[u8]) -> Result<Group> {
-    let mut reader = ByteReader::new(bytes, "group");
+pub fn decode_stamps(header: &StreamHeader, bytes: &[u8]) -> Result<Vec<Stamp>> {
+    take_stamps(header, &mut ByteReader::new(bytes, "group"))
+}
+
+fn take_stamps(header: &StreamHeader, reader: &mut ByteReader<'_>) -> Result<Vec<Stamp>> {
     let count = reader.varint_up_to(MAX_SCANS, "scan count")?;
     let mut stamps: Vec<Stamp> = Vec::new();
     for i in 0..count {
@@ -100,14 +111,25 @@ pub fn decode(header: &StreamHeader, bytes: &[u8]) -> Result<Group> {
         let time_nanos = u64::try_from(time).ok().filter(|t| *t < 1 << 62);
         stamps.push(Stamp { tick, time_nanos: time_nanos.ok_or_else(|| reader.error("a time out of range"))? });
     }
-    if stamps.is_empty() {
-        return Err(reader.error("a group without scans"));
+    if stamps.is_empty() { Err(reader.error("a group without scans")) } else { Ok(stamps) }
+}
+
+/// Reads a group.
+///
+/// # Errors
+/// [`CodecError::Payload`] at the first byte that does not follow FORMAT.md, "Group".
+pub fn decode(header: &StreamHeader, bytes: &[u8]) -> Result<Group> {
+    let mut reader = ByteReader::new(bytes, "group");
+    let stamps = take_stamps(header, &mut reader)?;
+    let before_tick = reader.varint_up_to(MAX_TICK + 1, "tick of the keyframe before")?.checked_sub(1);
+    if before_tick.is_some_and(|t| t >= stamps[0].tick) {
+        return Err(reader.error("the keyframe before does not lie before"));
     }
     let mesh = surface::decode(&mut reader, header.position_step_mm)?;
     let pairs = take_section(&mut reader, (5 + 14 * MAX_LANDMARKS) as usize, "landmarks")?;
     reader.finish()?;
     let landmarks = decode_landmarks(&pairs, mesh.triangles.len() as u64)?;
-    Ok(Group { stamps, mesh, landmarks })
+    Ok(Group { stamps, before_tick, mesh, landmarks })
 }
 
 fn decode_landmarks(bytes: &[u8], triangles: u64) -> Result<Vec<LandmarkPair>> {
@@ -155,7 +177,7 @@ mod tests {
         let place = |t| Place { triangle: t, barycentric: [0.2, 0.4, 0.4] };
         let pairs = [LandmarkPair { before: place(70_000), here: place(3) }];
         let stamps = [Stamp { tick: 3, time_nanos: 100_000_123 }, Stamp { tick: 10, time_nanos: 333_333_333 }];
-        encode(&HEADER, &stamps, &surface.bytes, &pairs).unwrap()
+        encode(&HEADER, &stamps, &surface.bytes, (Some(2), &pairs)).unwrap()
     }
 
     #[test]
@@ -163,6 +185,7 @@ mod tests {
         let group = decode(&HEADER, &example()).unwrap();
         assert_eq!(group.stamps[0], Stamp { tick: 3, time_nanos: 100_000_123 });
         assert_eq!(group.key(), Stamp { tick: 10, time_nanos: 333_333_333 });
+        assert_eq!(group.before_tick, Some(2));
         assert_eq!(group.landmarks[0].before.triangle, 70_000);
         assert!((group.landmarks[0].here.barycentric[1] - 0.4).abs() < 1e-6);
     }
@@ -184,7 +207,7 @@ mod tests {
     #[test]
     fn ticks_must_increase() {
         let s = Stamp { tick: 1, time_nanos: 0 };
-        assert!(encode(&HEADER, &[s, s], &[], &[]).is_err());
-        assert!(encode(&HEADER, &[], &[], &[]).is_err());
+        assert!(encode(&HEADER, &[s, s], &[], (None, &[])).is_err());
+        assert!(encode(&HEADER, &[], &[], (None, &[])).is_err());
     }
 }
