@@ -1,2 +1,10 @@
 //! What crosses a cable or a file boundary: the session container.
+//!
+//! [`session`] writes, reads, verifies and recovers session files; SESSION.md is their byte-by-byte description.
+//! No maths, no devices: payloads of the codec pass through as byte slices.
 #![forbid(unsafe_code)]
+
+mod atomic_file;
+pub mod session;
+
+pub use atomic_file::AtomicFile;
