@@ -7,4 +7,6 @@
 //! ```
 #![deny(unsafe_code)]
 
+pub mod device;
 pub mod light;
+pub mod pipeline;
