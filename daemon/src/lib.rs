@@ -1,5 +1,19 @@
 //! Capture daemon, structured light and command line of gv3.
+//!
+//! The data's way, each arrow a file:
+//! ```text
+//! device::Camera --Frame--> pipeline::frame_set --FrameSet--> light::phase --WrappedPhase--> light::unwrap --column_px-->
+//! light::triangulate --PointGrid--> light::grid_mesh --TriMesh--> codec::seed::Encoder --EncodedGroup-->
+//! protocol::session writer --bytes--> file
+//! replay: file --StoredGroup--> codec::seed::Player --Scan at time t--> files, view, measure
+//! ```
 #![deny(unsafe_code)]
 
+pub mod cli;
+pub mod device;
 pub mod files;
+pub mod light;
+pub mod measure;
+pub mod pipeline;
+pub mod replay;
 pub mod view;

@@ -1,0 +1,243 @@
+//! Cameras and projectors behind blocking, object-safe traits; [`open`] is the only place that names concrete types.
+
+pub mod config;
+pub mod frame;
+pub mod sim;
+
+use crate::light::{Calibration, LightError, Limits, PatternSequence};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+pub use config::{Backend, CameraConfig, ProjectorConfig, RigConfig};
+pub use frame::{Frame, PatternIndex};
+
+/// Why a device did not do what was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum DeviceError {
+    /// A setting that cannot work.
+    #[error("{field}: {reason}")]
+    Config {
+        /// Dotted path of the field, as in the rig's TOML file.
+        field: String,
+        /// What was found and what to do.
+        reason: String,
+    },
+    /// A file that cannot be read.
+    #[error("{path}: {reason}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What went wrong.
+        reason: String,
+    },
+    /// No frame before the deadline.
+    #[error("no picture before the deadline: {0}")]
+    Timeout(String),
+    /// A call out of order.
+    #[error("{0}")]
+    State(&'static str),
+    /// The device is gone.
+    #[error("{0} is disconnected")]
+    Disconnected(String),
+}
+
+impl DeviceError {
+    /// An error about `field` of the rig's configuration.
+    pub(crate) fn config(field: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self::Config { field: field.into(), reason: reason.into() }
+    }
+}
+
+impl From<LightError> for DeviceError {
+    fn from(error: LightError) -> Self {
+        match error {
+            LightError::Field { field, reason } => Self::Config { field, reason },
+            LightError::Toml(reason) => Self::Config { field: "calibration".into(), reason },
+        }
+    }
+}
+
+/// What a camera is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraInfo {
+    /// Maker and model.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// Columns of the sensor.
+    pub width_px: u32,
+    /// Rows of the sensor.
+    pub height_px: u32,
+    /// Shortest time between two pictures, nanoseconds.
+    pub min_period_nanos: u64,
+}
+
+/// What starts an exposure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TriggerSource {
+    /// The projector's trigger line, once a pattern.
+    Projector,
+    /// The camera's own clock.
+    Internal {
+        /// Time between pictures, nanoseconds.
+        period_nanos: u64,
+    },
+}
+
+/// How a camera is to work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CameraSettings {
+    /// Columns.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+    /// Exposure, nanoseconds.
+    pub exposure_nanos: u64,
+    /// What starts an exposure.
+    pub trigger: TriggerSource,
+}
+
+/// A camera.
+pub trait Camera: Send {
+    /// What it is.
+    fn info(&self) -> CameraInfo;
+    /// Sets it up and returns what was really set.
+    ///
+    /// # Errors
+    /// [`DeviceError::Config`] for a setting it cannot even approximate.
+    fn configure(&mut self, want: &CameraSettings) -> Result<CameraSettings, DeviceError>;
+    /// Begins a run; triggers from now on give frames.
+    ///
+    /// # Errors
+    /// [`DeviceError::State`] before [`Camera::configure`].
+    fn start(&mut self) -> Result<(), DeviceError>;
+    /// Waits for the next frame.
+    ///
+    /// # Errors
+    /// [`DeviceError::Timeout`] when none came before `deadline`; the run goes on.
+    fn next_frame(&mut self, deadline: Instant) -> Result<Frame, DeviceError>;
+    /// Ends the run.
+    ///
+    /// # Errors
+    /// [`DeviceError::Disconnected`] when the camera is gone.
+    fn stop(&mut self) -> Result<(), DeviceError>;
+}
+
+/// What a projector is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ProjectorInfo {
+    /// Maker and model.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// Columns.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+    /// Shortest time a pattern can be shown, nanoseconds.
+    pub min_period_nanos: u64,
+    /// Plays a loaded sequence by itself, with a trigger at every pattern.
+    pub hardware_sequence: bool,
+}
+
+/// When the patterns of a sequence are shown; the sequence repeats without a pause.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SequenceTiming {
+    /// Time from one pattern to the next, nanoseconds.
+    pub picture_period_nanos: u64,
+    /// Exposure within it, nanoseconds.
+    pub exposure_nanos: u64,
+}
+
+impl SequenceTiming {
+    /// Time from one frame set to the next, nanoseconds.
+    pub fn set_period_nanos(&self, pattern_count: usize) -> u64 {
+        self.picture_period_nanos.saturating_mul(pattern_count as u64)
+    }
+
+    /// Checks that the exposure fits into the period.
+    ///
+    /// # Errors
+    /// [`DeviceError::Config`] naming the field.
+    pub fn validate(&self) -> Result<(), DeviceError> {
+        if !(100_000..=10_000_000_000).contains(&self.picture_period_nanos) {
+            let reason = format!("{} is outside 100000 (0.1 ms) ..= 10000000000 (10 s)", self.picture_period_nanos);
+            return Err(DeviceError::config("timing.picture_period_nanos", reason));
+        }
+        if self.exposure_nanos == 0 || self.exposure_nanos > self.picture_period_nanos {
+            let reason =
+                format!("{} does not fit into the period of {}", self.exposure_nanos, self.picture_period_nanos);
+            return Err(DeviceError::config("timing.exposure_nanos", reason));
+        }
+        Ok(())
+    }
+}
+
+/// A projector.
+pub trait Projector: Send {
+    /// What it is.
+    fn info(&self) -> ProjectorInfo;
+    /// Stores a sequence for [`Projector::play`] and [`Projector::show`].
+    ///
+    /// # Errors
+    /// [`DeviceError::Config`] for a sequence it cannot show.
+    fn load(&mut self, sequence: &PatternSequence) -> Result<(), DeviceError>;
+    /// Shows the sequence over and over, with a trigger in the middle of every pattern, until [`Projector::stop`].
+    ///
+    /// # Errors
+    /// [`DeviceError::State`] before [`Projector::load`]; [`DeviceError::Config`] for a timing it cannot keep.
+    fn play(&mut self, timing: &SequenceTiming) -> Result<(), DeviceError>;
+    /// Shows one pattern until told otherwise.
+    ///
+    /// # Errors
+    /// [`DeviceError::State`] when no such pattern is loaded.
+    fn show(&mut self, pattern: PatternIndex) -> Result<(), DeviceError>;
+    /// Goes dark.
+    ///
+    /// # Errors
+    /// [`DeviceError::Disconnected`] when the projector is gone.
+    fn stop(&mut self) -> Result<(), DeviceError>;
+}
+
+/// The opened devices of a rig and what is needed to use them.
+pub struct Rig {
+    /// The camera.
+    pub camera: Box<dyn Camera>,
+    /// The projector.
+    pub projector: Box<dyn Projector>,
+    /// Geometry.
+    pub calibration: Calibration,
+    /// Patterns of one scan.
+    pub sequence: PatternSequence,
+    /// When they are shown.
+    pub timing: SequenceTiming,
+    /// Limits for reconstruction.
+    pub limits: Limits,
+}
+
+/// Opens the devices that a configuration names.
+///
+/// # Errors
+/// [`DeviceError`] naming the field or the device.
+pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
+    config.validate()?;
+    let calibration = config.calibration()?;
+    let (camera, projector): (Box<dyn Camera>, Box<dyn Projector>) =
+        match (config.camera.backend, config.projector.backend) {
+            (Backend::Simulated, Backend::Simulated) => {
+                let world = Arc::new(Mutex::new(sim::SimWorld::new(config)?));
+                (Box::new(sim::SimCamera::new(Arc::clone(&world))), Box::new(sim::SimProjector::new(world)))
+            }
+        };
+    Ok(Rig {
+        camera,
+        projector,
+        calibration,
+        sequence: config.sequence.clone(),
+        timing: config.timing,
+        limits: config.limits,
+    })
+}

@@ -1,0 +1,302 @@
+//! What the camera sees of the posed face while the projector shows one pattern.
+//!
+//! Two z-buffers: the camera's picture, and the projector's view for shadows. Shading is Lambert with some specular light at
+//! the vertices, albedo and projected level at the pixels; then shot and read noise and 8-bit rounding.
+
+use super::SimConfig;
+use super::face::{COLUMNS, Face};
+use super::noise;
+use super::raster::for_each_pixel;
+use super::skin::Skin;
+use crate::light::triangulate::scan_from_camera;
+use crate::light::{Calibration, Direction, Distortion, Intrinsics, LightError, Pattern};
+use glam::{Mat3, Vec3};
+use gv3_codec::GreyPicture;
+
+/// Grey levels of a white surface lit head-on at 600 mm in a nominal exposure.
+const GAIN_LEVELS: f32 = 335.0;
+const NOMINAL_EXPOSURE_NANOS: f32 = 5_000_000.0;
+/// Light of a black projector pixel over that of a white one.
+const BLACK_LEVEL: f32 = 0.01;
+/// Strength of the specular light (exponent 16).
+const SPECULAR: f32 = 0.07;
+/// The shadow map has one cell for this many projector pixels each way, and every other vertex.
+const SHADOW_CELL_PX: f32 = 4.0;
+const SHADOW_STEP: usize = 2;
+/// Surfaces this close behind the one in the shadow map are lit, mm.
+const SHADOW_BIAS_MM: f32 = 3.0;
+
+/// A lens in f32.
+#[derive(Debug, Clone, Copy)]
+struct Lens {
+    f: [f32; 2],
+    c: [f32; 2],
+    k: [f32; 3],
+    p: [f32; 2],
+    size_px: [usize; 2],
+}
+
+impl Lens {
+    fn new(intrinsics: &Intrinsics) -> Self {
+        let Distortion { k1, k2, p1, p2, k3 } = intrinsics.distortion;
+        Self {
+            f: [intrinsics.fx_px as f32, intrinsics.fy_px as f32],
+            c: [intrinsics.cx_px as f32, intrinsics.cy_px as f32],
+            k: [k1 as f32, k2 as f32, k3 as f32],
+            p: [p1 as f32, p2 as f32],
+            size_px: [intrinsics.width_px as usize, intrinsics.height_px as usize],
+        }
+    }
+
+    /// Pixel of normalized coordinates.
+    #[inline]
+    fn px(&self, x: f32, y: f32) -> [f32; 2] {
+        let r2 = x * x + y * y;
+        let radial = 1.0 + r2 * (self.k[0] + r2 * (self.k[1] + r2 * self.k[2]));
+        let [p1, p2] = self.p;
+        let dx = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
+        let dy = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y;
+        [self.f[0] * dx + self.c[0], self.f[1] * dy + self.c[1]]
+    }
+}
+
+/// A vertex as the camera's raster needs it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Corner {
+    px: [f32; 2],
+    inverse_depth: f32,
+    texel: [f32; 2],
+    diffuse: f32,
+    specular: f32,
+}
+
+/// What a pixel sees.
+#[derive(Debug, Clone, Copy, Default)]
+struct Seen {
+    texel: [f32; 2],
+    diffuse: f32,
+    specular: f32,
+}
+
+/// Light of one pattern along its direction.
+#[derive(Debug, Clone)]
+pub struct ShownPattern {
+    levels: Vec<f32>,
+    direction: Direction,
+}
+
+impl ShownPattern {
+    /// The pattern as an 8-bit projector of `length_px` pixels along its direction shows it.
+    pub fn new(pattern: &Pattern, length_px: u32) -> Self {
+        let level = |v: u8| BLACK_LEVEL + (1.0 - BLACK_LEVEL) * f32::from(v) / 255.0;
+        Self { levels: pattern.levels(length_px).into_iter().map(level).collect(), direction: pattern.direction }
+    }
+
+    #[inline]
+    fn level(&self, px: [f32; 2]) -> f32 {
+        let u = if self.direction == Direction::Columns { px[0] } else { px[1] };
+        let u = u.clamp(0.0, self.levels.len() as f32 - 1.001);
+        let i = u as i32;
+        let pair = &self.levels[i as usize..i as usize + 2];
+        pair[0] + (u - i as f32) * (pair[1] - pair[0])
+    }
+}
+
+/// Renders pictures; keeps its buffers.
+#[derive(Debug, Clone)]
+pub struct Renderer {
+    camera: Lens,
+    projector: Lens,
+    rotation: Mat3,
+    translation_mm: Vec3,
+    /// The pixels' rays in the projector's axes.
+    rays: Vec<Vec3>,
+    texels: Vec<[f32; 2]>,
+    corners: Vec<Corner>,
+    inverse_depth: Vec<f32>,
+    seen: Vec<Seen>,
+    shadow_size: [usize; 2],
+    shadow_corners: Vec<[f32; 3]>,
+    shadow: Vec<f32>,
+}
+
+impl Renderer {
+    /// Tables for a rig and a face.
+    ///
+    /// # Errors
+    /// [`LightError::Field`] for a calibration that cannot work.
+    pub fn new(calibration: &Calibration, face: &Face) -> Result<Self, LightError> {
+        calibration.validate()?;
+        let rotation = calibration.projector_from_camera.matrix();
+        let rays: Vec<Vec3> =
+            calibration.camera.ray_table("camera")?.iter().map(|ray| (rotation * ray.extend(1.0)).as_vec3()).collect();
+        let pixels = rays.len();
+        let projector = Lens::new(&calibration.projector);
+        let shadow_size = projector.size_px.map(|n| (n as f32 / SHADOW_CELL_PX).ceil() as usize);
+        Ok(Self {
+            camera: Lens::new(&calibration.camera),
+            projector,
+            rotation: rotation.as_mat3(),
+            translation_mm: calibration.projector_from_camera.translation().as_vec3(),
+            rays,
+            texels: face.rest_mm.iter().map(|p| Skin::texel_of(p.x, p.y)).collect(),
+            corners: vec![Corner::default(); face.rest_mm.len()],
+            inverse_depth: vec![0.0; pixels],
+            seen: vec![Seen::default(); pixels],
+            shadow_size,
+            shadow_corners: Vec::new(),
+            shadow: vec![0.0; shadow_size[0] * shadow_size[1]],
+        })
+    }
+
+    /// One picture of the face at `positions_mm` (scan frame); dark where the projector shows nothing.
+    pub fn render(
+        &mut self,
+        positions_mm: &[Vec3],
+        skin: &Skin,
+        pattern: Option<&ShownPattern>,
+        exposure_nanos: u64,
+        config: &SimConfig,
+        picture_number: u64,
+    ) -> GreyPicture {
+        self.place_corners(positions_mm);
+        self.draw_shadow_map(positions_mm);
+        self.draw_camera_view();
+        let gain = GAIN_LEVELS * exposure_nanos as f32 / NOMINAL_EXPOSURE_NANOS;
+        let seed = noise::hash(noise::hash(config.seed) ^ picture_number);
+        let mut pixels = vec![0u8; self.rays.len()];
+        for (i, pixel) in pixels.iter_mut().enumerate() {
+            let light = if self.inverse_depth[i] > 0.0 { self.light(i, skin, pattern, config.ambient) } else { 0.002 };
+            let grey = gain * light;
+            let variance = config.read_noise_levels * config.read_noise_levels + grey / config.electrons_per_level;
+            let noisy = grey + variance.sqrt() * noise::normal(seed.wrapping_add(i as u64));
+            // The cast saturates: below 0 and above 255 as a sensor does.
+            *pixel = (noisy + 0.5) as u8;
+        }
+        GreyPicture::new(self.camera.size_px[0] as u32, self.camera.size_px[1] as u32, pixels)
+    }
+
+    /// Depth of every camera pixel, mm, 0 where there is no surface.
+    pub fn depth_mm(&mut self, positions_mm: &[Vec3]) -> Vec<f32> {
+        self.place_corners(positions_mm);
+        self.draw_camera_view();
+        self.inverse_depth.iter().map(|&i| if i > 0.0 { 1.0 / i } else { 0.0 }).collect()
+    }
+
+    fn place_corners(&mut self, positions_mm: &[Vec3]) {
+        let light_mm = scan_from_camera(-(self.rotation.transpose() * self.translation_mm));
+        let rows = positions_mm.len() / COLUMNS;
+        for row in 0..rows {
+            let above = &positions_mm[row.saturating_sub(1) * COLUMNS..][..COLUMNS];
+            let here = &positions_mm[row * COLUMNS..][..COLUMNS];
+            let below = &positions_mm[(row + 1).min(rows - 1) * COLUMNS..][..COLUMNS];
+            let corners = &mut self.corners[row * COLUMNS..][..COLUMNS];
+            for (c, corner) in corners.iter_mut().enumerate() {
+                let p = here[c];
+                let across = here[(c + 1).min(COLUMNS - 1)] - here[c.saturating_sub(1)];
+                let normal = across.cross(above[c] - below[c]).normalize_or_zero();
+                let (diffuse, specular) = shade(p, normal, light_mm);
+                let inverse_depth = -1.0 / p.z;
+                let px = self.camera.px(p.x * inverse_depth, -p.y * inverse_depth);
+                *corner = Corner { px, inverse_depth, texel: self.texels[row * COLUMNS + c], diffuse, specular };
+            }
+        }
+    }
+
+    fn draw_shadow_map(&mut self, positions_mm: &[Vec3]) {
+        let [width, height] = self.shadow_size;
+        let columns = COLUMNS / SHADOW_STEP;
+        self.shadow.fill(0.0);
+        self.shadow_corners.clear();
+        for row in positions_mm.chunks_exact(COLUMNS).step_by(SHADOW_STEP) {
+            self.shadow_corners.extend(row.iter().step_by(SHADOW_STEP).take(columns).map(|&p| {
+                let q = self.rotation * scan_from_camera(p) + self.translation_mm;
+                let inverse = 1.0 / q.z;
+                let [x, y] = self.projector.px(q.x * inverse, q.y * inverse);
+                // Cell i holds projector pixels from i * SHADOW_CELL_PX on, so its centre is half a cell further.
+                [(x + 0.5) / SHADOW_CELL_PX - 0.5, (y + 0.5) / SHADOW_CELL_PX - 0.5, inverse]
+            }));
+        }
+        let shadow = &mut self.shadow;
+        for (top, bottom) in
+            self.shadow_corners.chunks_exact(columns).zip(self.shadow_corners.chunks_exact(columns).skip(1))
+        {
+            for c in 0..columns - 1 {
+                for t in [[top[c], bottom[c], top[c + 1]], [top[c + 1], bottom[c], bottom[c + 1]]] {
+                    for_each_pixel(t.map(|v| [v[0], v[1]]), width, height, |i, w| {
+                        let inverse = w[0] * t[0][2] + w[1] * t[1][2] + w[2] * t[2][2];
+                        shadow[i] = shadow[i].max(inverse);
+                    });
+                }
+            }
+        }
+    }
+
+    fn draw_camera_view(&mut self) {
+        self.inverse_depth.fill(0.0);
+        let [width, height] = self.camera.size_px;
+        let (depth, seen) = (&mut self.inverse_depth, &mut self.seen);
+        for (top, bottom) in self.corners.chunks_exact(COLUMNS).zip(self.corners.chunks_exact(COLUMNS).skip(1)) {
+            for c in 0..COLUMNS - 1 {
+                for t in [[&top[c], &bottom[c], &top[c + 1]], [&top[c + 1], &bottom[c], &bottom[c + 1]]] {
+                    for_each_pixel(t.map(|v| v.px), width, height, |i, w| {
+                        let mix = |f: fn(&Corner) -> f32| w[0] * f(t[0]) + w[1] * f(t[1]) + w[2] * f(t[2]);
+                        let inverse = mix(|v| v.inverse_depth);
+                        if inverse > depth[i] {
+                            depth[i] = inverse;
+                            seen[i] = Seen {
+                                texel: [mix(|v| v.texel[0]), mix(|v| v.texel[1])],
+                                diffuse: mix(|v| v.diffuse),
+                                specular: mix(|v| v.specular),
+                            };
+                        }
+                    });
+                }
+            }
+        }
+    }
+
+    /// Light that pixel `i` receives, 1 for a white surface lit head-on.
+    #[inline]
+    fn light(&self, i: usize, skin: &Skin, pattern: Option<&ShownPattern>, ambient: f32) -> f32 {
+        let seen = self.seen[i];
+        let albedo = skin.albedo(seen.texel);
+        let projected = match pattern {
+            Some(pattern) if seen.diffuse > 0.0 => {
+                let q = self.rays[i] * (1.0 / self.inverse_depth[i]) + self.translation_mm;
+                let inverse = 1.0 / q.z;
+                let px = self.projector.px(q.x * inverse, q.y * inverse);
+                self.is_lit(px, inverse) * pattern.level(px)
+            }
+            _ => 0.0,
+        };
+        albedo * (ambient + projected * seen.diffuse) + projected * seen.specular
+    }
+
+    /// 1 where the projector reaches a surface at `px` and `inverse_depth`, else 0.
+    #[inline]
+    fn is_lit(&self, px: [f32; 2], inverse_depth: f32) -> f32 {
+        let (x, y) = ((px[0] + 0.5) * (1.0 / SHADOW_CELL_PX), (px[1] + 0.5) * (1.0 / SHADOW_CELL_PX));
+        let [width, height] = self.shadow_size;
+        if !(x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32) {
+            return 0.0;
+        }
+        let nearest = self.shadow[y as i32 as usize * width + x as i32 as usize];
+        f32::from(u8::from(inverse_depth >= nearest - SHADOW_BIAS_MM * inverse_depth * inverse_depth))
+    }
+}
+
+/// Diffuse and specular light at a vertex, 1 head-on at 600 mm from the light; the camera is the origin.
+#[inline]
+fn shade(p: Vec3, normal: Vec3, light_mm: Vec3) -> (f32, f32) {
+    let to_light = light_mm - p;
+    let distance2 = to_light.length_squared();
+    let to_light = to_light * (1.0 / distance2.sqrt());
+    let lambert = normal.dot(to_light).max(0.0);
+    let falloff = 600.0 * 600.0 / distance2;
+    let half = (to_light - p * (1.0 / p.length())).normalize();
+    let aligned = normal.dot(half).max(0.0);
+    let power4 = (aligned * aligned) * (aligned * aligned);
+    let power16 = (power4 * power4) * (power4 * power4);
+    (lambert * falloff, if lambert > 0.0 { SPECULAR * power16 * falloff } else { 0.0 })
+}
