@@ -1,2 +1,5 @@
 //! `gv3`, the command.
-fn main() {}
+
+fn main() -> std::process::ExitCode {
+    gv3::cli::main()
+}

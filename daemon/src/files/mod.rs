@@ -11,8 +11,10 @@ pub mod picture;
 pub mod ply;
 pub mod scan_export;
 pub mod scan_folder;
+mod spool;
 
 pub use assemble::{MeshFile, Repairs};
 pub use error::{FileError, Result};
 pub use scan_export::{ExportFormat, ExportWriter};
 pub use scan_folder::{LoadedScan, ScanFolder};
+pub use spool::ScanSpool;

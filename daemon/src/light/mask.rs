@@ -45,6 +45,18 @@ pub struct RejectedPixels {
     pub unmeshed: u64,
 }
 
+impl std::ops::AddAssign for RejectedPixels {
+    fn add_assign(&mut self, other: Self) {
+        self.saturated += other.saturated;
+        self.low_modulation += other.low_modulation;
+        self.low_data_modulation += other.low_data_modulation;
+        self.eroded += other.eroded;
+        self.fringe_order += other.fringe_order;
+        self.depth_range += other.depth_range;
+        self.unmeshed += other.unmeshed;
+    }
+}
+
 impl RejectedPixels {
     /// Rejected pixels of every cause.
     pub fn total(&self) -> u64 {

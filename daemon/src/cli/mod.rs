@@ -1,0 +1,110 @@
+//! The command line: one binary, one file a command.
+//!
+//! A command returns its report as text or JSON; exit code 0 for done, 1 for failed, 2 for wrong usage.
+
+mod capture;
+mod decode;
+mod demo;
+mod encode;
+mod info;
+mod measure;
+mod progress;
+mod recover;
+mod verify;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+use std::io::Write;
+use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+
+/// Capture, code, replay and measure scans of structured-light 3D scanners.
+#[derive(Debug, Parser)]
+#[command(name = "gv3", version, arg_required_else_help = true, after_help = "Begin with `gv3 demo`: it needs no hardware.")]
+struct Arguments {
+    /// More messages on standard error; RUST_LOG overrides it.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Demo(demo::Demo),
+    Capture(capture::Capture),
+    Encode(encode::Encode),
+    Decode(decode::Decode),
+    Info(info::Info),
+    Verify(verify::Verify),
+    Recover(recover::Recover),
+    Measure(measure::Measure),
+}
+
+/// What a command prints on standard output and whether it found a fault.
+#[derive(Debug)]
+struct Outcome {
+    report: String,
+    is_fault: bool,
+}
+
+impl Outcome {
+    fn done(report: impl Into<String>) -> Self {
+        Self { report: report.into(), is_fault: false }
+    }
+
+    /// The text, or the value as one JSON object.
+    fn of(json: bool, value: &impl serde::Serialize, text: impl FnOnce() -> String) -> Result<Self> {
+        Ok(Self::done(if json { serde_json::to_string_pretty(value)? } else { text() }))
+    }
+}
+
+/// Runs the command that the arguments name.
+pub fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let level = ["warn", "info", "debug", "trace"][usize::from(arguments.verbose.min(3))];
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()))
+        .init();
+    let outcome = match arguments.command {
+        Command::Demo(c) => c.run(),
+        Command::Capture(c) => c.run(),
+        Command::Encode(c) => c.run(),
+        Command::Decode(c) => c.run(),
+        Command::Info(c) => c.run(),
+        Command::Verify(c) => c.run(),
+        Command::Recover(c) => c.run(),
+        Command::Measure(c) => c.run(),
+    };
+    match outcome {
+        Ok(outcome) => {
+            // A reader that has seen enough (`| head`) is no failure.
+            let _ = writeln!(std::io::stdout(), "{}", outcome.report.trim_end());
+            if outcome.is_fault { ExitCode::FAILURE } else { ExitCode::SUCCESS }
+        }
+        Err(error) => {
+            eprintln!("gv3: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn arguments_are_consistent_and_every_command_shows_an_example() {
+        let mut command = Arguments::command();
+        command.build();
+        command.clone().debug_assert();
+        for sub in command.get_subcommands().filter(|s| s.get_name() != "help") {
+            let help = sub.clone().render_long_help().to_string();
+            assert!(help.contains("Example"), "{}", sub.get_name());
+        }
+    }
+}

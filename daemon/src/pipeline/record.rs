@@ -1,0 +1,408 @@
+//! A recording: capture, reconstruct, encode and write, each in a named thread, joined by bounded queues.
+
+use super::{DropCounts, FrameSet, FrameSetAssembler, Reconstructor};
+use crate::device::{DeviceError, Rig};
+use crate::light::{LightError, RejectedPixels};
+use gv3_codec::seed::{EncodedGroup, Encoder, EncoderConfig};
+use gv3_codec::{CodecError, Scan};
+use gv3_protocol::session::{
+    Event, EventKind, GroupRecord, MetadataGroup, SessionError, SessionFile, SessionWriter, SyncData, key,
+};
+use std::io::{Seek, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use tokio::sync::mpsc::{Receiver, Sender, channel};
+use tracing::{info, warn};
+
+/// Items a queue between two stages holds: enough to ride out a keyframe, few enough to bound memory.
+const QUEUE: usize = 4;
+
+/// How long the camera may be silent before a timeout is counted.
+const PICTURE_DEADLINE: Duration = Duration::from_secs(2);
+
+/// Timeouts in a row after which the recording ends.
+const MOST_TIMEOUTS: u32 = 5;
+
+/// Why a recording ended early. What was complete before is in the file.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// A device failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// Reconstruction cannot work with this rig.
+    #[error(transparent)]
+    Light(#[from] LightError),
+    /// The encoder refused its input.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// The session could not be written.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The caller's observer failed.
+    #[error("{0}")]
+    Observer(String),
+    /// A stage could not be started or died.
+    #[error("stage {0} ended unexpectedly")]
+    Stage(&'static str),
+}
+
+/// Looks at every scan before it is encoded.
+pub type ScanObserver = Box<dyn FnMut(&Scan) -> Result<(), String> + Send>;
+
+/// How to record.
+pub struct RecordSettings {
+    /// Scan periods to record; until told to stop when none.
+    pub scan_periods: Option<u64>,
+    /// Encoder settings.
+    pub encoder: EncoderConfig,
+    /// Called with every scan.
+    pub observer: ScanObserver,
+    /// Set to end the recording; what is on its way is finished.
+    pub stop: Arc<AtomicBool>,
+    /// Scans encoded so far, for progress.
+    pub progress: Arc<AtomicU64>,
+}
+
+/// What a recording did.
+#[derive(Debug, Clone, Default, serde::Serialize)]
+pub struct Recorded {
+    /// Complete frame sets.
+    pub frame_sets: u64,
+    /// Frame sets dropped, by cause.
+    pub drops: DropCounts,
+    /// Pixels rejected in all scans, by cause.
+    pub rejected_pixels: RejectedPixels,
+    /// Scans that the encoder could not use.
+    pub unusable_scans: u64,
+    /// Scans in the session.
+    pub scans: u64,
+    /// Keyframes in the session.
+    pub keyframes: u64,
+    /// Mean reconstruction time, milliseconds a scan.
+    pub reconstruct_ms_per_scan: f64,
+    /// Mean encoding time, milliseconds a scan.
+    pub encode_ms_per_scan: f64,
+    /// What the pictures took, bytes.
+    pub raw_fringe_bytes: u64,
+}
+
+/// What travels down the queues.
+enum Item<T> {
+    Work(T),
+    Event(Event),
+}
+
+/// Records until the wanted length, the stop flag, or an error; the session is finished in every case where the file can
+/// still be written.
+///
+/// # Errors
+/// [`RecordError`] of the first stage that failed.
+pub async fn record(
+    rig: Rig,
+    settings: RecordSettings,
+    mut writer: SessionWriter<SessionFile>,
+) -> Result<Recorded, RecordError> {
+    let reconstructor = Reconstructor::new(&rig.calibration, &rig.sequence, &rig.limits)?;
+    let encoder = Encoder::new(settings.encoder)?;
+    writer.write_stream(&encoder.header().encode())?;
+    let (set_out, sets) = channel(QUEUE);
+    let (scan_out, scans) = channel(QUEUE);
+    let (group_out, groups) = channel(QUEUE);
+    let stop = Arc::clone(&settings.stop);
+    let periods = settings.scan_periods;
+    let capture = stage("capture", move || capture(rig, periods, &stop, &set_out));
+    let stop = Arc::clone(&settings.stop);
+    let reconstruct = stage("reconstruct", move || stopping(&stop, || run_reconstruct(reconstructor, sets, &scan_out)));
+    let stop = Arc::clone(&settings.stop);
+    let RecordSettings { observer, progress, .. } = settings;
+    let encode = stage("encode", move || stopping(&stop, || run_encode(encoder, observer, &progress, scans, &group_out)));
+    let write = stage("write", move || run_write(writer, groups));
+    let (captured, rebuilt, encoded, written) = tokio::join!(capture, reconstruct, encode, write);
+    // The last stage's error is the cause of those before it: a full disk closes the queues upstream.
+    let writer = written?;
+    let (encoded, rebuilt, drops) = (encoded?, rebuilt?, captured?);
+    let recorded = summarize(&drops, &rebuilt, &encoded);
+    writer.finish(&statistics(&recorded))?;
+    info!(scans = recorded.scans, keyframes = recorded.keyframes, dropped = recorded.drops.sets(), "recording finished");
+    Ok(recorded)
+}
+
+/// Runs a blocking stage in a thread of its own name.
+async fn stage<T: Send + 'static>(
+    name: &'static str,
+    work: impl FnOnce() -> Result<T, RecordError> + Send + 'static,
+) -> Result<T, RecordError> {
+    let (done, result) = tokio::sync::oneshot::channel();
+    std::thread::Builder::new()
+        .name(format!("gv3-{name}"))
+        .spawn(move || done.send(work()))
+        .map_err(|_| RecordError::Stage(name))?;
+    result.await.unwrap_or(Err(RecordError::Stage(name)))
+}
+
+/// A stage that fails stops the capture.
+fn stopping<T>(stop: &AtomicBool, work: impl FnOnce() -> Result<T, RecordError>) -> Result<T, RecordError> {
+    work().inspect_err(|_| stop.store(true, Ordering::Relaxed))
+}
+
+fn capture(
+    mut rig: Rig,
+    periods: Option<u64>,
+    stop: &AtomicBool,
+    out: &Sender<Item<FrameSet>>,
+) -> Result<(DropCounts, u64), RecordError> {
+    let settings = crate::device::CameraSettings {
+        width_px: rig.calibration.camera.width_px,
+        height_px: rig.calibration.camera.height_px,
+        exposure_nanos: rig.timing.exposure_nanos,
+        trigger: crate::device::TriggerSource::Projector,
+    };
+    rig.camera.configure(&settings)?;
+    rig.projector.load(&rig.sequence)?;
+    rig.camera.start()?;
+    rig.projector.play(&rig.timing)?;
+    let collected = collect(&mut rig, periods, stop, out);
+    // Both are told to stop even if one fails; the first error counts.
+    let stopped = rig.projector.stop().and(rig.camera.stop());
+    let collected = collected?;
+    stopped?;
+    Ok(collected)
+}
+
+/// Frames to frame sets until the end of the run.
+fn collect(
+    rig: &mut Rig,
+    periods: Option<u64>,
+    stop: &AtomicBool,
+    out: &Sender<Item<FrameSet>>,
+) -> Result<(DropCounts, u64), RecordError> {
+    let set_nanos = rig.timing.set_period_nanos(rig.sequence.patterns.len());
+    let mut assembler = FrameSetAssembler::new(&rig.sequence, &rig.timing);
+    let (mut frame_bytes, mut timeouts, mut start_nanos, mut last_tick) = (0, 0, None, None);
+    while !stop.load(Ordering::Relaxed) {
+        let frame = match rig.camera.next_frame(Instant::now() + PICTURE_DEADLINE) {
+            Ok(frame) => frame,
+            Err(error @ DeviceError::Timeout(_)) => {
+                timeouts += 1;
+                warn!(%error, timeouts, "no picture");
+                if timeouts >= MOST_TIMEOUTS {
+                    return Err(error.into());
+                }
+                continue;
+            }
+            Err(error) => return Err(error.into()),
+        };
+        timeouts = 0;
+        let time_nanos = frame.device_time_nanos;
+        let elapsed = time_nanos.saturating_sub(*start_nanos.get_or_insert(time_nanos));
+        if periods.is_some_and(|p| elapsed + rig.timing.picture_period_nanos / 2 >= p.saturating_mul(set_nanos)) {
+            break;
+        }
+        frame_bytes += frame.picture.pixels.len() as u64;
+        let before = assembler.drops();
+        let set = assembler.push(frame);
+        let tick = elapsed / set_nanos;
+        for event in drop_events(&before, &assembler.drops(), time_nanos, tick) {
+            send(out, Item::Event(event))?;
+        }
+        if let Some(set) = set {
+            if let Some(gap) = gap_event(last_tick, &set) {
+                send(out, Item::Event(gap))?;
+            }
+            last_tick = Some(set.tick);
+            send(out, Item::Work(set))?;
+        }
+    }
+    Ok((assembler.finish(), frame_bytes))
+}
+
+fn send<T>(out: &Sender<T>, item: T) -> Result<(), RecordError> {
+    out.blocking_send(item).map_err(|_| RecordError::Stage("downstream"))
+}
+
+/// One event for every cause whose count grew.
+fn drop_events(before: &DropCounts, after: &DropCounts, time_nanos: u64, tick: u64) -> Vec<Event> {
+    let causes = [
+        ("picture_lost", before.lost, after.lost),
+        ("picture_doubled", before.doubled, after.doubled),
+        ("picture_late", before.late, after.late),
+        ("picture_disordered", before.disordered, after.disordered),
+        ("picture_stray", before.stray_frames, after.stray_frames),
+    ];
+    causes
+        .iter()
+        .filter(|(_, before, after)| after > before)
+        .map(|(cause, before, after)| {
+            warn!(cause, count = after - before, tick, "dropped");
+            let kind = EventKind::Drop { cause: (*cause).into(), count: after - before };
+            Event { time_nanos, tick, kind }
+        })
+        .collect()
+}
+
+fn gap_event(last_tick: Option<u64>, set: &FrameSet) -> Option<Event> {
+    let first_missing = last_tick? + 1;
+    let ticks = set.tick.checked_sub(first_missing).filter(|&n| n > 0)?;
+    Some(Event { time_nanos: set.time_nanos, tick: first_missing, kind: EventKind::Gap { ticks } })
+}
+
+#[derive(Default)]
+struct Rebuilt {
+    sets: u64,
+    rejected: RejectedPixels,
+    time: Duration,
+}
+
+fn run_reconstruct(
+    mut reconstructor: Reconstructor,
+    mut sets: Receiver<Item<FrameSet>>,
+    out: &Sender<Item<Scan>>,
+) -> Result<Rebuilt, RecordError> {
+    let mut rebuilt = Rebuilt::default();
+    while let Some(item) = sets.blocking_recv() {
+        let item = match item {
+            Item::Event(event) => Item::Event(event),
+            Item::Work(set) => {
+                let begin = Instant::now();
+                let result = reconstructor.reconstruct(&set)?;
+                rebuilt.time += begin.elapsed();
+                rebuilt.sets += 1;
+                rebuilt.rejected += result.rejected;
+                Item::Work(result.scan)
+            }
+        };
+        send(out, item)?;
+    }
+    Ok(rebuilt)
+}
+
+#[derive(Default)]
+struct Encoded {
+    scans: u64,
+    keyframes: u64,
+    unusable: u64,
+    time: Duration,
+}
+
+fn run_encode(
+    mut encoder: Encoder,
+    mut observer: ScanObserver,
+    progress: &AtomicU64,
+    mut scans: Receiver<Item<Scan>>,
+    out: &Sender<Item<EncodedGroup>>,
+) -> Result<Encoded, RecordError> {
+    let mut encoded = Encoded::default();
+    while let Some(item) = scans.blocking_recv() {
+        let scan = match item {
+            Item::Event(event) => {
+                send(out, Item::Event(event))?;
+                continue;
+            }
+            Item::Work(scan) => scan,
+        };
+        observer(&scan).map_err(RecordError::Observer)?;
+        let (time_nanos, tick) = (scan.time_nanos, scan.tick);
+        let begin = Instant::now();
+        let pushed = encoder.push(scan);
+        encoded.time += begin.elapsed();
+        progress.fetch_add(1, Ordering::Relaxed);
+        let note = |message: String| Event { time_nanos, tick, kind: EventKind::Fault { source: "encode".into(), message } };
+        match pushed {
+            Ok(pushed) => {
+                if let Some(error) = pushed.not_key {
+                    warn!(tick, %error, "no keyframe, trying the next scan");
+                    send(out, Item::Event(note(error.to_string())))?;
+                }
+                forward(pushed.group, &mut encoded, out)?;
+            }
+            Err(CodecError::Mesh(reason)) => {
+                warn!(tick, reason, "scan left out");
+                encoded.unusable += 1;
+                send(out, Item::Event(note(format!("scan left out: {reason}"))))?;
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+    let begin = Instant::now();
+    let last = encoder.finish()?;
+    encoded.time += begin.elapsed();
+    forward(last, &mut encoded, out)?;
+    Ok(encoded)
+}
+
+fn forward(
+    group: Option<EncodedGroup>,
+    encoded: &mut Encoded,
+    out: &Sender<Item<EncodedGroup>>,
+) -> Result<(), RecordError> {
+    let Some(group) = group else { return Ok(()) };
+    encoded.scans += group.scans as u64;
+    encoded.keyframes += 1;
+    send(out, Item::Work(group))
+}
+
+fn run_write(
+    mut writer: SessionWriter<SessionFile>,
+    mut groups: Receiver<Item<EncodedGroup>>,
+) -> Result<SessionWriter<SessionFile>, RecordError> {
+    let mut events = Vec::new();
+    while let Some(item) = groups.blocking_recv() {
+        match item {
+            Item::Event(event) => events.push(event),
+            Item::Work(group) => {
+                write_group(&mut writer, &group, &events)?;
+                events.clear();
+            }
+        }
+    }
+    for event in &events {
+        writer.write_event(event)?;
+    }
+    Ok(writer)
+}
+
+/// Writes a group with the events since the one before; durable when this returns.
+///
+/// # Errors
+/// As [`SessionWriter::write_group`].
+pub fn write_group<W: Write + Seek + SyncData>(
+    writer: &mut SessionWriter<W>,
+    group: &EncodedGroup,
+    events: &[Event],
+) -> Result<(), SessionError> {
+    writer.write_group(GroupRecord {
+        first_tick: group.first.tick,
+        key_tick: group.key.tick,
+        time_nanos: group.key.time_nanos,
+        geometry: &group.geometry,
+        texture: group.texture.as_deref(),
+        events,
+    })
+}
+
+fn per_scan_ms(time: Duration, scans: u64) -> f64 {
+    time.as_secs_f64() * 1e3 / scans.max(1) as f64
+}
+
+fn summarize((drops, frame_bytes): &(DropCounts, u64), rebuilt: &Rebuilt, encoded: &Encoded) -> Recorded {
+    Recorded {
+        frame_sets: rebuilt.sets,
+        drops: *drops,
+        rejected_pixels: rebuilt.rejected,
+        unusable_scans: encoded.unusable,
+        scans: encoded.scans,
+        keyframes: encoded.keyframes,
+        reconstruct_ms_per_scan: per_scan_ms(rebuilt.time, rebuilt.sets),
+        encode_ms_per_scan: per_scan_ms(encoded.time, encoded.scans),
+        raw_fringe_bytes: *frame_bytes,
+    }
+}
+
+fn statistics(recorded: &Recorded) -> MetadataGroup {
+    MetadataGroup::new()
+        .with(key::SCANS, recorded.scans)
+        .with(key::KEYFRAMES, recorded.keyframes)
+        .with(key::ENCODE_MS_PER_SCAN, format!("{:.3}", recorded.encode_ms_per_scan))
+        .with(key::RAW_FRINGE_BYTES, recorded.raw_fringe_bytes)
+}
