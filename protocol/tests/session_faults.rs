@@ -90,6 +90,10 @@ fn every_bit_flip_is_found_and_costs_at_most_one_group() {
             Err(SessionError::NotASession { .. } | SessionError::NewerVersion { .. }) => {}
             Err(error) => panic!("bit {bit}: {error}"),
         }
+        // One bit a byte is enough for the slower half: recovery looks at bytes.
+        if bit % 8 != (bit / 8) % 8 {
+            continue;
+        }
         let Ok((rebuilt, report)) = recovered(&flipped) else { continue };
         assert!(report.groups + 1 >= groups().len(), "bit {bit} costs more than one group: {report:?}");
         assert!(report.groups == groups().len() || report.lost_bytes > 0, "bit {bit}: an unreported loss");
@@ -142,6 +146,23 @@ fn recovery_of_a_whole_session_changes_nothing_but_the_note() {
     for (name, group) in old.metadata().iter() {
         assert_eq!(new.metadata().group(name), Some(group));
     }
+}
+
+#[test]
+fn a_run_without_groups_left_gives_way_to_the_next() {
+    let mut writer = SessionWriter::create(Cursor::new(Vec::new()), &metadata()).unwrap();
+    for (header, group) in [b"one", b"two"].iter().zip(groups()) {
+        writer.write_stream(*header).unwrap();
+        write_group(&mut writer, &group).unwrap();
+    }
+    let mut bytes = writer.finish(&statistics()).unwrap().into_inner();
+    let entry = open(&bytes).unwrap().groups()[0];
+    bytes[entry.chunk_offset as usize + 60] ^= 1;
+    let (rebuilt, report) = recovered(&bytes).unwrap();
+    assert_eq!(report.groups, 1);
+    let mut reader = open(&rebuilt).unwrap();
+    assert_eq!(reader.streams().len(), 1);
+    assert_eq!(reader.read_stream(0).unwrap(), b"two");
 }
 
 #[test]

@@ -99,8 +99,6 @@ struct Recovery<W: Write + Seek + SyncData> {
     writer: Option<SessionWriter<W>>,
     opening: SessionMetadata,
     closing: BTreeMap<String, MetadataGroup>,
-    /// Header of a run none of whose groups is kept yet.
-    stream: Option<Vec<u8>>,
     last_key_tick: Option<u64>,
     report: RecoverReport,
 }
@@ -122,7 +120,6 @@ impl<W: Write + Seek + SyncData> Recovery<W> {
             writer: None,
             opening: SessionMetadata::default(),
             closing: BTreeMap::new(),
-            stream: None,
             last_key_tick: None,
             report,
         }
@@ -162,18 +159,13 @@ impl<W: Write + Seek + SyncData> Recovery<W> {
     fn copy(&mut self, content: &Content) -> Result<()> {
         let json: Vec<JsonText> =
             content.json.iter().map(|message| (message.channel, message.time_nanos, message.text)).collect();
-        if let Some(stream) = &content.stream {
-            // A header whose groups were all lost gives way to the next run's.
-            self.stream = Some(stream.payload.to_vec());
-        }
-        let stream = self.stream.take_if(|_| content.group.is_some());
         let writer = self.writer()?;
+        if let Some(stream) = &content.stream {
+            writer.replace_stream(stream.payload);
+        }
         let Some(group) = &content.group else {
             return if json.is_empty() { Ok(()) } else { writer.write_json_raw(&json) };
         };
-        if let Some(stream) = stream {
-            writer.write_stream(&stream)?;
-        }
         let record = GroupRecord {
             first_tick: group.head.first_tick,
             key_tick: group.head.key_tick,

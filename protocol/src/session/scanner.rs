@@ -16,10 +16,11 @@ use super::metadata::MetadataGroup;
 use super::source::{RECORD_HEAD, Source, Span};
 use super::summary::DATA_END;
 
-/// Candidates whose checksum may fail in one search: forged files must not turn it quadratic.
-const SEARCH_TRIES: usize = 64;
-/// Bytes read at a time while searching.
-const SEARCH_BLOCK: u64 = 1 << 16;
+/// Bytes of candidates whose checksum fails, in file lengths, before a scan gives up searching: a damaged chunk costs
+/// its own length once, while forged nested ones would make the search quadratic.
+const SEARCH_BUDGET: u64 = 8;
+/// Fewest and most bytes read at a time while searching: the next record is mostly near.
+const SEARCH_BLOCKS: (u64, u64) = (1 << 12, 1 << 16);
 /// Longest message index, bytes: a chunk has a handful of messages.
 const INDEX_LIMIT: u64 = 16 << 20;
 
@@ -41,12 +42,15 @@ pub(crate) enum Item {
 pub(crate) struct Scanner<'a, R> {
     source: &'a mut Source<R>,
     at: u64,
+    /// What failing candidates may still cost, bytes.
+    budget: u64,
 }
 
 impl<'a, R: Read + Seek> Scanner<'a, R> {
     /// Starts at the first record after the header.
     pub fn new(source: &'a mut Source<R>, start: u64) -> Self {
-        Scanner { source, at: start }
+        let budget = source.length().saturating_mul(SEARCH_BUDGET);
+        Scanner { source, at: start, budget }
     }
 
     /// The next item; after `DataEnd` or `EndOfFile` there is none to ask for.
@@ -114,35 +118,34 @@ impl<'a, R: Read + Seek> Scanner<'a, R> {
     /// Where the next intact chunk or metadata record begins, or the end of the file.
     fn search(&mut self, from: u64) -> Result<u64, Fault> {
         let window = RECORD_HEAD + CHUNK_FIELDS;
-        let mut tries = SEARCH_TRIES;
+        let end = self.source.length();
+        let (mut step, most) = SEARCH_BLOCKS;
         let mut at = from;
-        while at + window <= self.source.length() && tries > 0 {
-            let length = (self.source.length() - at).min(SEARCH_BLOCK);
-            let block = self.source.read_vec(at, length, SEARCH_BLOCK)?;
+        while at + window <= end {
+            let length = (end - at).min(step);
+            let block = self.source.read_vec(at, length, most)?;
             for (offset, bytes) in (at..).zip(block.windows(window as usize)) {
-                if !self.looks_right(offset, bytes) {
-                    continue;
-                }
+                let Some(cost) = self.candidate(offset, bytes) else { continue };
                 if self.is_intact(offset, bytes[0])? {
                     return Ok(offset);
                 }
-                tries -= 1;
-                if tries == 0 {
-                    break;
-                }
+                let Some(left) = self.budget.checked_sub(cost) else { return Ok(end) };
+                self.budget = left;
             }
             at += length - window + 1;
+            step = (2 * step).min(most);
         }
-        Ok(self.source.length())
+        Ok(end)
     }
 
-    /// Whether a chunk or metadata record may begin with `bytes`, judged without reading further.
-    fn looks_right(&self, offset: u64, bytes: &[u8]) -> bool {
+    /// Length of the chunk or metadata record that may begin with `bytes`, judged without reading further.
+    fn candidate(&self, offset: u64, bytes: &[u8]) -> Option<u64> {
         match bytes[0] {
-            op::CHUNK => ChunkHead::parse(offset, bytes).is_ok_and(|head| head.span.end() <= self.source.length()),
-            op::METADATA => bytes[13..].starts_with(b"gv3."),
-            _ => false,
+            op::CHUNK => ChunkHead::parse(offset, bytes).ok().map(|head| head.span.length),
+            op::METADATA if bytes[13..].starts_with(b"gv3.") => Bytes(&bytes[1..]).u64(),
+            _ => None,
         }
+        .filter(|length| offset.saturating_add(*length) <= self.source.length())
     }
 
     fn is_intact(&mut self, offset: u64, opcode: u8) -> Result<bool, Fault> {

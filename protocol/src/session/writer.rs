@@ -94,6 +94,11 @@ impl<W: Write + Seek + SyncData> SessionWriter<W> {
         Ok(())
     }
 
+    /// Opens a run whose header is known to be good; one still waiting lost all its groups and gives way.
+    pub(crate) fn replace_stream(&mut self, payload: &[u8]) {
+        self.stream = Some(payload.to_vec());
+    }
+
     /// Writes one group as one chunk; it is durable when this returns.
     ///
     /// # Errors
