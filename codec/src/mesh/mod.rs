@@ -2,6 +2,7 @@
 
 mod bvh;
 pub mod half_edge;
+pub mod simplify;
 mod tri_mesh;
 
 pub use bvh::{Bvh, Nearest};
