@@ -97,9 +97,10 @@ impl Corner {
     /// Of a position at most `PAD_PX` px outside the picture.
     fn of(px: [f32; 2]) -> Self {
         let (x, y) = (px[0] + PAD_PX as f32, px[1] + PAD_PX as f32);
-        let (fx, fy) = (x - x.floor(), y - y.floor());
+        let (column, row) = (x as usize, y as usize);
+        let (fx, fy) = (x - column as f32, y - row as f32);
         let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
-        Self { x: x as usize, y: y as usize, weights }
+        Self { x: column, y: row, weights }
     }
 }
 
