@@ -185,3 +185,64 @@ fn solve(factor: &[[f32; 6]; 6], mut b: [f32; 6]) -> [f32; 6] {
     }
     b
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::Pyramid;
+    use crate::motion::test_texture::{Warp, median, render};
+
+    fn aligned(warp: &Warp, off_px: f32) -> Vec<(f32, f32)> {
+        let (a, b) = (Pyramid::new(&render(&Warp::still(), 150, 120), 1), Pyramid::new(&render(warp, 150, 120), 1));
+        let mut aligner = Aligner::new(15);
+        let one = |i: i32| {
+            let at = [30.25 + 10.5 * (i % 9) as f32, 28.5 + 9.75 * (i / 9) as f32];
+            let truth = warp.apply(at);
+            let found = aligner.align(a.finest(), at, b.finest(), [truth[0] + off_px, truth[1] - off_px])?;
+            Some(((found.px[0] - truth[0]).hypot(found.px[1] - truth[1]), found.zncc))
+        };
+        (0..63).filter_map(one).collect()
+    }
+
+    #[test]
+    fn rotation_and_stretch_are_followed_exactly() {
+        for matrix in [[0.9962, -0.0872, 0.0872, 0.9962], [1.08, 0.03, -0.02, 0.93], [1.0, 0.1, 0.0, 1.0]] {
+            let found = aligned(&Warp::about_centre(matrix, [0.3, -0.2]), 0.4);
+            let errors: Vec<f32> = found.iter().map(|f| f.0).collect();
+            assert!(found.len() >= 58, "{matrix:?}: {} of 63", found.len());
+            assert!(median(&errors) < 0.03, "{matrix:?}: {}", median(&errors));
+            assert!(found.iter().filter(|f| f.1 > 0.99).count() >= 56);
+        }
+    }
+
+    #[test]
+    fn other_texture_and_flat_windows_are_not_alike() {
+        let (a, b) = (render(&Warp::still(), 60, 50), render(&Warp::shift(4000.0, 900.0), 60, 50));
+        let (a, b) = (Pyramid::new(&a, 1), Pyramid::new(&b, 1));
+        let mut aligner = Aligner::new(15);
+        let mut alike = |x: i32| {
+            let at = [10.0 + x as f32, 25.0];
+            aligner.align(a.finest(), at, b.finest(), at).is_some_and(|f| f.zncc > 0.9)
+        };
+        assert!((0..40).filter(|x| alike(*x)).count() <= 2);
+        let flat = Pyramid::new(&crate::motion::FloatPicture::new(60, 50, vec![0.0; 3000]), 1);
+        assert_eq!(aligner.align(flat.finest(), [30.0, 25.0], a.finest(), [30.0, 25.0]), None);
+        assert_eq!(aligner.align(a.finest(), [-3.0, 25.0], a.finest(), [30.0, 25.0]), None);
+        assert_eq!(aligner.align(a.finest(), [30.0, 25.0], a.finest(), [-1e9, f32::NAN]), None);
+    }
+
+    #[test]
+    fn the_normal_equations_are_solved() {
+        let mut m = [[0.0_f32; 6]; 6];
+        for (i, row) in m.iter_mut().enumerate() {
+            for (j, v) in row.iter_mut().enumerate() {
+                *v = 1.0 / (1.0 + i.abs_diff(j) as f32) + if i == j { 2.0 } else { 0.0 };
+            }
+        }
+        let x = [1.0, -2.0, 3.0, 0.5, 0.0, -1.0];
+        let b: [f32; 6] = std::array::from_fn(|i| (0..6).map(|j| m[i][j] * x[j]).sum());
+        let got = solve(&cholesky(m).unwrap(), b);
+        assert!(got.iter().zip(&x).all(|(g, w)| (g - w).abs() < 1e-5));
+        assert!(cholesky([[1.0; 6]; 6]).is_none());
+    }
+}

@@ -115,7 +115,8 @@ impl<'m> PixelMap<'m> {
         for &triangle in &self.bin_triangles[range] {
             let Some(planar) = Planar::of(self.corners_px(triangle as usize)) else { continue };
             let weights = planar.barycentric(f64::from(px[0]), f64::from(px[1]));
-            if weights.iter().any(|w| *w < -EDGE_TOLERANCE) {
+            // Said so that weights that are not numbers (a corner at infinity) are refused.
+            if !weights.iter().all(|w| *w >= -EDGE_TOLERANCE) {
                 continue;
             }
             let barycentric = weights.map(|w| w.clamp(0.0, 1.0) as f32);
@@ -214,7 +215,7 @@ fn box_of([a, b, c]: [[f32; 2]; 3]) -> ([f32; 2], [f32; 2]) {
 fn bin_box(corners_px: [[f32; 2]; 3], width: usize, height: usize) -> Option<[u16; 4]> {
     let (low, high) = box_of(corners_px);
     let (low, high) = (low.map(|c| c + 0.5), high.map(|c| c + 0.5));
-    if high[0] < 0.0 || high[1] < 0.0 || low[0] >= width as f32 || low[1] >= height as f32 {
+    if high[0] < 0.0 || high[1] < 0.0 || low[0].max(0.0) >= width as f32 || low[1].max(0.0) >= height as f32 {
         return None;
     }
     let bin = |c: f32, side: usize| ((c.max(0.0) as usize).min(side - 1) / BIN_PX) as u16;
@@ -303,8 +304,8 @@ mod tests {
             let (x, y) = (i as u32 % W, i as u32 / W);
             // The outermost centres lie on the border itself, where rounding of the uv decides.
             let sure = (7..45).contains(&x) && (6..34).contains(&y);
-            let never = x < 6 || x > 45 || y < 5 || y > 34;
-            assert!(if *inside { !never } else { !sure }, "{x} {y}");
+            let possible = (6..=45).contains(&x) && (5..=34).contains(&y);
+            assert!(if *inside { possible } else { !sure }, "{x} {y}");
             assert_eq!(*inside, map.triangles()[i] != u32::MAX);
         }
         assert!(
@@ -337,8 +338,14 @@ mod tests {
         let mut heap = grid(0.2, 200, 150);
         heap.uv.as_mut().unwrap().iter_mut().enumerate().for_each(|(i, t)| *t = [(i % 2) as f32, (i / 200 % 2) as f32]);
         assert!(PixelMap::new(&heap, 2000, 2000).unwrap_err().to_string().contains("one-to-one"));
-        let far = TriMesh { uv: Some(vec![[3e38, -3e38]; mesh.vertex_count()]), ..mesh };
+        let far = TriMesh { uv: Some(vec![[3e38, -3e38]; mesh.vertex_count()]), ..mesh.clone() };
         assert!(PixelMap::new(&far, W, H).unwrap().mask().inside.iter().all(|i| !i));
+        let mut half_far = mesh.clone();
+        half_far.uv.as_mut().unwrap()[15] = [3e38, 3e38];
+        let map = PixelMap::new(&half_far, W, H).unwrap();
+        assert!(
+            (0..W * H).filter_map(|i| map.lift([(i % W) as f32, (i / W) as f32])).all(|p| p.position_mm.is_finite())
+        );
         assert!(PixelMap::new(&far, 0, 0).unwrap().lift([0.0, 0.0]).is_none());
     }
 
