@@ -12,7 +12,7 @@ const CELL: usize = 12;
 const RADIUS: usize = 3;
 /// A new corner keeps this far (in x or y) from every landmark: without it a moving surface would gather ever more of them,
 /// as each cell that a landmark leaves is filled again.
-const SPACING: usize = 8;
+const SPACING: usize = 10;
 /// Side of the block of gradients that a cell needs.
 const BLOCK: usize = CELL + 2 * RADIUS;
 
@@ -25,12 +25,12 @@ pub struct CornerOptions {
 
 impl Default for CornerOptions {
     fn default() -> Self {
-        Self { min_eigenvalue: 2e-3 }
+        Self { min_eigenvalue: 0.01 }
     }
 }
 
 /// The best corner of every 12 px cell that holds none of `occupied` (px), at pixels where `allowed` is set (a mask
-/// eroded by half the tracking window) and not within 8 px of `occupied`. Row by row of cells.
+/// eroded by half the tracking window) and not within 10 px of `occupied`. Row by row of cells.
 ///
 /// # Panics
 /// When picture and mask differ in size.
@@ -161,7 +161,7 @@ mod tests {
         assert!(find_corners(p.finest(), mask.clone(), &all, &CornerOptions::default()).is_empty());
         let rest = find_corners(p.finest(), mask.clone(), &all[3..], &CornerOptions::default());
         assert!(!rest.is_empty() && rest.len() <= 3);
-        let far = |c: &[f32; 2]| all[3..].iter().all(|o| (c[0] - o[0]).abs() > 8.0 || (c[1] - o[1]).abs() > 8.0);
+        let far = |c: &[f32; 2]| all[3..].iter().all(|o| (c[0] - o[0]).abs() > 10.0 || (c[1] - o[1]).abs() > 10.0);
         assert!(rest.iter().all(far));
     }
 }

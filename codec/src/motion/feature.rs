@@ -7,12 +7,15 @@ use crate::{CodecError, Result, mesh::TriMesh};
 const MAX_SIDE_PX: f32 = 640.0;
 /// Room on each side of the first scan for the motion of a run, as a share of its larger extent.
 const MARGIN: f32 = 0.12;
-/// Relief is what a Gaussian of this width takes away.
-const RELIEF_SIGMA_PX: f32 = 5.0;
-/// Its strength is made even over this width.
+/// Relief is what a Gaussian of this width takes away: narrow, since the slope of the face enters where the Gaussian is cut
+/// by the border of the scan.
+const RELIEF_SIGMA_PX: f32 = 3.0;
+/// Detail finer than this is noise, and changes with the place of the scan's vertices on the skin.
+const NOISE_SIGMA_PX: f32 = 1.4;
+/// The strength of the relief is made even over this width.
 const CONTRAST_SIGMA_PX: f32 = 8.0;
-/// Relief weaker than this is noise and stays weak, mm².
-const RELIEF_FLOOR_MM2: f32 = 0.01 * 0.01;
+/// Relief weaker than this stays weak, mm².
+const RELIEF_FLOOR_MM2: f32 = 0.02 * 0.02;
 
 /// The pixel grid of an orthographic view along -z of the scan frame, the same for all scans of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,7 +33,8 @@ pub struct FeatureFrame {
 /// What a [`FeatureFrame`] shows of one scan.
 #[derive(Debug, Clone)]
 pub struct FeatureView<'m> {
-    /// Locally normalised relief, 0 outside the mask: food for [`Tracker::feed_normalized`](super::Tracker).
+    /// Locally normalised relief, 0 outside the mask, for a [`Tracker`](super::Tracker) with
+    /// [`TrackerOptions::relief`](super::TrackerOptions::relief).
     pub relief: FloatPicture,
     /// Pixels that show the surface.
     pub mask: Mask,
@@ -75,7 +79,9 @@ impl FeatureFrame {
         let map = PixelMap::with_vertices_px(mesh, self.vertices_px(mesh), self.width_px, self.height_px)?;
         let mask = map.mask();
         let depth = FloatPicture::new(self.width_px, self.height_px, map.z_mm().to_vec());
-        let relief = high_pass(&depth, &mask, RELIEF_SIGMA_PX);
+        let mut relief = high_pass(&depth, &mask, RELIEF_SIGMA_PX);
+        let noise = high_pass(&relief, &mask, NOISE_SIGMA_PX);
+        relief.pixels.iter_mut().zip(&noise.pixels).for_each(|(r, n)| *r -= n);
         let relief = normalize(&relief, &mask, CONTRAST_SIGMA_PX, RELIEF_FLOOR_MM2);
         Ok(FeatureView { relief, mask, map })
     }
@@ -124,7 +130,7 @@ mod tests {
         let frame = FeatureFrame::about(&first).unwrap();
         assert!((frame.pixel_mm - 0.5).abs() < 0.01);
         let (a, b) = (frame.view(&first).unwrap(), frame.view(&second).unwrap());
-        let mut tracker = Tracker::new(TrackerOptions::default());
+        let mut tracker = Tracker::new(TrackerOptions::relief());
         tracker.feed_normalized(&a.relief, &a.mask, true);
         let before = tracker.tracks().to_vec();
         tracker.feed_normalized(&b.relief, &b.mask, true);

@@ -74,13 +74,11 @@ impl<'m> PixelMap<'m> {
             height,
             triangle_at: vec![u32::MAX; width * height],
             z_mm: vec![f32::NEG_INFINITY; width * height],
-            bin_starts: Vec::new(),
+            bin_starts: vec![0; width.div_ceil(BIN_PX) * height.div_ceil(BIN_PX) + 1],
             bin_triangles: Vec::new(),
         };
-        map.fill_bins()?;
-        for t in 0..mesh.triangles.len() {
-            map.raster(t);
-        }
+        let boxes = map.draw()?;
+        map.fill_bins(&boxes);
         Ok(map)
     }
 
@@ -117,7 +115,8 @@ impl<'m> PixelMap<'m> {
         for &triangle in &self.bin_triangles[range] {
             let Some(planar) = Planar::of(self.corners_px(triangle as usize)) else { continue };
             let weights = planar.barycentric(f64::from(px[0]), f64::from(px[1]));
-            if weights.iter().any(|w| *w < -EDGE_TOLERANCE) {
+            // Said so that weights that are not numbers (a corner at infinity) are refused.
+            if !weights.iter().all(|w| *w >= -EDGE_TOLERANCE) {
                 continue;
             }
             let barycentric = weights.map(|w| w.clamp(0.0, 1.0) as f32);
@@ -134,61 +133,67 @@ impl<'m> PixelMap<'m> {
         self.mesh.triangles[triangle].map(|v| self.vertices_px[v as usize])
     }
 
-    /// First and last cell of side `cell` px in x and y that the triangle's box touches.
-    fn box_cells(&self, triangle: usize, cell: usize) -> Option<[usize; 4]> {
-        let [a, b, c] = self.corners_px(triangle);
-        let low = [0, 1].map(|k| a[k].min(b[k]).min(c[k]) + 0.5 - 1e-3);
-        let high = [0, 1].map(|k| a[k].max(b[k]).max(c[k]) + 0.5 + 1e-3);
-        let seen = high[0] >= 0.0 && high[1] >= 0.0 && low[0] < self.width as f32 && low[1] < self.height as f32;
-        let [x0, y0] = low.map(|c| c.max(0.0) as usize / cell);
-        let [x1, y1] = [(high[0], self.width), (high[1], self.height)].map(|(c, n)| (c as usize).min(n - 1) / cell);
-        seen.then_some([x0, x1, y0, y1])
+    /// Rasters all triangles, counts them by bin, and returns for each the bins {x0, x1, y0, y1} that its box touches.
+    fn draw(&mut self) -> Result<Vec<Option<[u16; 4]>>> {
+        let columns = self.width.div_ceil(BIN_PX);
+        let limit = 8 * self.mesh.triangles.len() + 64 * (self.bin_starts.len() - 1);
+        let mut entries = 0;
+        let mut boxes = Vec::with_capacity(self.mesh.triangles.len());
+        for triangle in 0..self.mesh.triangles.len() {
+            let corners = self.corners_px(triangle);
+            let bins = bin_box(corners, self.width, self.height);
+            boxes.push(bins);
+            let Some([x0, x1, y0, y1]) = bins.map(|b| b.map(usize::from)) else { continue };
+            entries += (x1 - x0 + 1) * (y1 - y0 + 1);
+            // Checked before the triangle is drawn: it bounds the time as well as the memory.
+            if entries > limit || u32::try_from(entries).is_err() {
+                return Err(CodecError::Mesh(format!(
+                    "triangle {} and those before it cover the texture many times over; give the mesh a one-to-one uv",
+                    triangle + 1
+                )));
+            }
+            for y in y0..=y1 {
+                self.bin_starts[y * columns + x0 + 1..=y * columns + x1 + 1].iter_mut().for_each(|count| *count += 1);
+            }
+            self.raster(triangle, corners);
+        }
+        Ok(boxes)
     }
 
-    /// Counting sort of the triangles by bin.
-    fn fill_bins(&mut self) -> Result<()> {
-        let (columns, rows) = (self.width.div_ceil(BIN_PX), self.height.div_ceil(BIN_PX));
-        let triangles = self.mesh.triangles.len();
-        let boxes: Vec<Option<[usize; 4]>> = (0..triangles).map(|t| self.box_cells(t, BIN_PX)).collect();
-        let entries: usize = boxes.iter().flatten().map(|[x0, x1, y0, y1]| (x1 - x0 + 1) * (y1 - y0 + 1)).sum();
-        let limit = 8 * triangles + 64 * columns * rows;
-        if entries > limit || u32::try_from(entries).is_err() {
-            return Err(CodecError::Mesh(format!(
-                "triangles cover each other in the texture: {entries} bin entries, at most {limit}; give the mesh a one-to-one uv"
-            )));
+    /// Counting sort of the triangles by bin; the counts are in `bin_starts`, one place late.
+    fn fill_bins(&mut self, boxes: &[Option<[u16; 4]>]) {
+        let columns = self.width.div_ceil(BIN_PX);
+        for b in 1..self.bin_starts.len() {
+            self.bin_starts[b] += self.bin_starts[b - 1];
         }
-        let mut starts = vec![0_u32; columns * rows + 1];
-        let cells = |b: &[usize; 4]| {
-            let [x0, x1, y0, y1] = *b;
-            (y0..=y1).flat_map(move |y| (x0..=x1).map(move |x| y * columns + x))
-        };
-        for bin in boxes.iter().flatten().flat_map(cells) {
-            starts[bin + 1] += 1;
-        }
-        for b in 0..columns * rows {
-            starts[b + 1] += starts[b];
-        }
-        let mut next = starts.clone();
-        let mut sorted = vec![0_u32; entries];
-        for (t, b) in boxes.iter().enumerate() {
-            for bin in b.iter().flat_map(cells) {
-                sorted[next[bin] as usize] = t as u32;
-                next[bin] += 1;
+        let mut next = self.bin_starts.clone();
+        self.bin_triangles = vec![0; self.bin_starts[self.bin_starts.len() - 1] as usize];
+        for (triangle, bins) in boxes.iter().enumerate() {
+            let Some([x0, x1, y0, y1]) = bins.map(|b| b.map(usize::from)) else { continue };
+            for y in y0..=y1 {
+                for place in &mut next[y * columns + x0..=y * columns + x1] {
+                    self.bin_triangles[*place as usize] = triangle as u32;
+                    *place += 1;
+                }
             }
         }
-        (self.bin_starts, self.bin_triangles) = (starts, sorted);
-        Ok(())
     }
 
     /// Draws one triangle: pixels whose centre it covers, if nothing nearer to the scanner is there.
-    fn raster(&mut self, triangle: usize) {
-        let Some([x0, x1, y0, y1]) = self.box_cells(triangle, 1) else { return };
-        let Some(planar) = Planar::of(self.corners_px(triangle)) else { return };
+    fn raster(&mut self, triangle: usize, corners_px: [[f32; 2]; 3]) {
+        let Some(planar) = Planar::of(corners_px) else { return };
+        let (low, high) = box_of(corners_px);
+        let first = low.map(|c| (c + 1.0).max(0.0) as usize);
+        // An upper limit below 0 has no pixel; the cast would make it pixel 0.
+        if high[0] < 0.0 || high[1] < 0.0 {
+            return;
+        }
+        let last = [(high[0] as usize).min(self.width - 1), (high[1] as usize).min(self.height - 1)];
         let z = self.mesh.corners(triangle).map(|p| f64::from(p.z));
-        for y in y0..=y1 {
-            for x in x0..=x1 {
+        for y in first[1]..=last[1] {
+            for x in first[0]..=last[0] {
                 let [a, b, c] = planar.barycentric(x as f64, y as f64);
-                if a.min(b).min(c) < -EDGE_TOLERANCE {
+                if a < -EDGE_TOLERANCE || b < -EDGE_TOLERANCE || c < -EDGE_TOLERANCE {
                     continue;
                 }
                 let (i, depth) = (y * self.width + x, (a * z[0] + b * z[1] + c * z[2]) as f32);
@@ -199,6 +204,22 @@ impl<'m> PixelMap<'m> {
             }
         }
     }
+}
+
+/// Least and largest x and y, px, a thousandth wider than the corners.
+fn box_of([a, b, c]: [[f32; 2]; 3]) -> ([f32; 2], [f32; 2]) {
+    ([0, 1].map(|k| a[k].min(b[k]).min(c[k]) - 1e-3), [0, 1].map(|k| a[k].max(b[k]).max(c[k]) + 1e-3))
+}
+
+/// Bins {x0, x1, y0, y1}, ends included, that the box of a triangle touches; `None` beside the picture.
+fn bin_box(corners_px: [[f32; 2]; 3], width: usize, height: usize) -> Option<[u16; 4]> {
+    let (low, high) = box_of(corners_px);
+    let (low, high) = (low.map(|c| c + 0.5), high.map(|c| c + 0.5));
+    if high[0] < 0.0 || high[1] < 0.0 || low[0].max(0.0) >= width as f32 || low[1].max(0.0) >= height as f32 {
+        return None;
+    }
+    let bin = |c: f32, side: usize| ((c.max(0.0) as usize).min(side - 1) / BIN_PX) as u16;
+    Some([bin(low[0], width), bin(high[0], width), bin(low[1], height), bin(high[1], height)])
 }
 
 /// A triangle of the picture plane, ready for barycentric coordinates.
@@ -283,8 +304,8 @@ mod tests {
             let (x, y) = (i as u32 % W, i as u32 / W);
             // The outermost centres lie on the border itself, where rounding of the uv decides.
             let sure = (7..45).contains(&x) && (6..34).contains(&y);
-            let never = x < 6 || x > 45 || y < 5 || y > 34;
-            assert!(if *inside { !never } else { !sure }, "{x} {y}");
+            let possible = (6..=45).contains(&x) && (5..=34).contains(&y);
+            assert!(if *inside { possible } else { !sure }, "{x} {y}");
             assert_eq!(*inside, map.triangles()[i] != u32::MAX);
         }
         assert!(
@@ -317,8 +338,14 @@ mod tests {
         let mut heap = grid(0.2, 200, 150);
         heap.uv.as_mut().unwrap().iter_mut().enumerate().for_each(|(i, t)| *t = [(i % 2) as f32, (i / 200 % 2) as f32]);
         assert!(PixelMap::new(&heap, 2000, 2000).unwrap_err().to_string().contains("one-to-one"));
-        let far = TriMesh { uv: Some(vec![[3e38, -3e38]; mesh.vertex_count()]), ..mesh };
+        let far = TriMesh { uv: Some(vec![[3e38, -3e38]; mesh.vertex_count()]), ..mesh.clone() };
         assert!(PixelMap::new(&far, W, H).unwrap().mask().inside.iter().all(|i| !i));
+        let mut half_far = mesh.clone();
+        half_far.uv.as_mut().unwrap()[15] = [3e38, 3e38];
+        let map = PixelMap::new(&half_far, W, H).unwrap();
+        assert!(
+            (0..W * H).filter_map(|i| map.lift([(i % W) as f32, (i / W) as f32])).all(|p| p.position_mm.is_finite())
+        );
         assert!(PixelMap::new(&far, 0, 0).unwrap().lift([0.0, 0.0]).is_none());
     }
 

@@ -4,6 +4,7 @@
 //! point of the surface; [`consistent`] drops matches that their neighbours contradict. Scans without texture are
 //! tracked in the picture of their relief ([`FeatureFrame`]).
 
+mod affine_flow;
 mod consistency;
 mod corners;
 mod feature;

@@ -17,7 +17,7 @@ const LANES: usize = 8;
 type Moments = [f32; 3 * LANES];
 
 /// `(value - local mean) / sqrt(local variance + variance_floor)` inside the mask, 0 outside.
-/// Local is a Gaussian of `sigma_px` (made of boxes, so its sigma is met within 6 % from 3 px on).
+/// Local is a Gaussian of `sigma_px` (made of boxes, so its sigma is met within 6 % from 3 px on, and is at least 1.4 px).
 ///
 /// # Panics
 /// When picture and mask differ in size.

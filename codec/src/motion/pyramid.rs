@@ -63,12 +63,15 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
-    /// Builds `levels` levels (at least one); level 0 is the picture itself.
+    /// Builds `levels` levels (at least one, none beyond a single pixel); level 0 is the picture itself.
     pub fn new(picture: &FloatPicture, levels: u32) -> Self {
         let mut all = vec![Level::new(picture)];
         while all.len() < levels as usize {
-            let half = all[all.len() - 1].halved();
-            all.push(half);
+            let last = &all[all.len() - 1];
+            if last.width.max(last.height) <= 1 {
+                break;
+            }
+            all.push(last.halved());
         }
         Self { levels: all }
     }
@@ -96,7 +99,8 @@ mod tests {
     }
 
     #[test]
-    fn empty_pictures_have_empty_levels() {
+    fn levels_end_at_a_pixel_and_empty_pictures_hold_no_point() {
+        assert_eq!(Pyramid::new(&FloatPicture::new(5, 3, vec![1.0; 15]), 99).levels.len(), 4);
         let pyramid = Pyramid::new(&FloatPicture::default(), 3);
         assert!(!pyramid.finest().contains([0.0, 0.0]));
     }

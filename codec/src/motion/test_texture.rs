@@ -1,6 +1,7 @@
 //! A smooth random texture known at every real position, for tests with sub-pixel truth.
 
 use super::FloatPicture;
+use std::f32::consts::TAU;
 
 /// Affine warp of the picture plane: texture at `p` is seen at `apply(p)`.
 #[derive(Debug, Clone, Copy)]
@@ -36,8 +37,8 @@ impl Warp {
     }
 }
 
-/// Sum of 48 waves of 5 to 24 px with fixed random directions and phases, about unit variance.
-fn texture(p: [f32; 2]) -> f32 {
+/// Wave vector (rad/px) and phase of 48 waves of 5 to 24 px with fixed random directions.
+fn waves() -> Vec<[f32; 3]> {
     let mut state = 0x9e37_79b9_u32;
     let mut random = move || {
         state ^= state << 13;
@@ -46,15 +47,19 @@ fn texture(p: [f32; 2]) -> f32 {
         (state >> 8) as f32 / (1 << 24) as f32
     };
     let wave = |_| {
-        let (angle, phase, length) = (6.283 * random(), 6.283 * random(), 5.0 + 19.0 * random());
-        (6.283 / length * (p[0] * angle.cos() + p[1] * angle.sin()) + phase).sin()
+        let (angle, phase, number) = (TAU * random(), TAU * random(), TAU / (5.0 + 19.0 * random()));
+        [number * angle.cos(), number * angle.sin(), phase]
     };
-    (0..48).map(wave).sum::<f32>() / 24.0_f32.sqrt()
+    (0..48).map(wave).collect()
 }
 
-/// The warped texture as a picture.
+/// The warped texture, of about unit variance, as a picture.
 pub fn render(warp: &Warp, width_px: u32, height_px: u32) -> FloatPicture {
-    let at = |i: u32| texture(warp.invert([(i % width_px) as f32, (i / width_px) as f32]));
+    let waves = waves();
+    let at = |i: u32| {
+        let [x, y] = warp.invert([(i % width_px) as f32, (i / width_px) as f32]);
+        waves.iter().map(|[kx, ky, phase]| (kx * x + ky * y + phase).sin()).sum::<f32>() / 24.0_f32.sqrt()
+    };
     FloatPicture::new(width_px, height_px, (0..width_px * height_px).map(at).collect())
 }
 

@@ -1,19 +1,37 @@
 //! Landmarks that live over many scans: followed from picture to picture, replaced where they die.
 
 use super::{
-    CornerOptions, FloatPicture, FlowOptions, GREY_SIGMA_PX, GREY_VARIANCE_FLOOR, Mask, Pyramid, find_corners, follow,
-    normalize, zncc,
+    CornerOptions, FloatPicture, FlowOptions, GREY_SIGMA_PX, GREY_VARIANCE_FLOOR, Mask, Pyramid, affine_flow::Aligner,
+    find_corners, follow, normalize,
 };
 use crate::GreyPicture;
 use std::sync::Arc;
 
+/// A landmark that its affine alignment would move further than this was following something else.
+const MAX_DRIFT_PX: f32 = 1.5;
+
 /// How landmarks are found and followed.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackerOptions {
-    /// Following from one picture to the next; `flow.min_zncc` also holds from key picture to key picture.
+    /// Following from one picture to the next.
     pub flow: FlowOptions,
     /// New landmarks.
     pub corners: CornerOptions,
+    /// Least correlation from key picture to key picture, after affine alignment.
+    pub min_key_zncc: f32,
+}
+
+impl Default for TrackerOptions {
+    fn default() -> Self {
+        Self { flow: FlowOptions::default(), corners: CornerOptions::default(), min_key_zncc: 0.8 }
+    }
+}
+
+impl TrackerOptions {
+    /// For the relief of scans without texture, which is smoother than grey skin and needs a larger window.
+    pub fn relief() -> Self {
+        Self { flow: FlowOptions { window_px: 21, ..FlowOptions::default() }, ..Self::default() }
+    }
 }
 
 /// A landmark in the present picture.
@@ -49,7 +67,8 @@ impl Tracker {
     }
 
     /// Feeds the texture of the next scan; `mask` holds the pixels that show the surface.
-    /// At a key picture landmarks must also look as they did in the key picture before, and are remembered for the next.
+    /// At a key picture landmarks are also aligned with the key picture before, must look as they did there, and are
+    /// remembered for the next.
     ///
     /// # Panics
     /// When picture and mask differ in size. Pictures of different scans may.
@@ -68,10 +87,7 @@ impl Tracker {
             self.advance(&previous, &next, mask);
         }
         if is_key && let Some(key) = self.key.take() {
-            let (window_px, min_zncc) = (self.options.flow.window_px, self.options.flow.min_zncc);
-            let looks_alike =
-                |k: [f32; 2], px: [f32; 2]| zncc(key.finest(), k, next.finest(), px, window_px) >= min_zncc;
-            self.tracks.retain(|t| t.key_px.is_none_or(|k| looks_alike(k, t.px)));
+            self.realign(&key, &next, mask);
         }
         self.refill(&next, mask);
         if is_key {
@@ -92,6 +108,19 @@ impl Tracker {
                 true
             }
             _ => false,
+        });
+    }
+
+    /// Aligns the landmarks with the key picture before, which takes back what drift they gathered since, and drops those
+    /// that no longer look as they did there.
+    fn realign(&mut self, key: &Pyramid, next: &Pyramid, mask: &Mask) {
+        let mut aligner = Aligner::new(self.options.flow.window_px);
+        self.tracks.retain_mut(|t| {
+            let Some(key_px) = t.key_px else { return true };
+            let Some(found) = aligner.align(key.finest(), key_px, next.finest(), t.px) else { return false };
+            let moved_px = (found.px[0] - t.px[0]).hypot(found.px[1] - t.px[1]);
+            t.px = found.px;
+            moved_px <= MAX_DRIFT_PX && found.zncc >= self.options.min_key_zncc && mask.contains(found.px)
         });
     }
 
@@ -163,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_picture_that_looks_different_keeps_no_old_landmark() {
+    fn a_key_picture_that_looks_different_keeps_hardly_any_landmark() {
         let mut tracker = Tracker::new(TrackerOptions::default());
         let mask = Mask::full(200, 150);
         let (a, b) = (render(&Warp::still(), 200, 150), render(&Warp::shift(4000.0, 900.0), 200, 150));
@@ -178,8 +207,9 @@ mod tests {
         }
         let crept = tracker.tracks().iter().filter(|t| t.id < old).count();
         tracker.feed_normalized(&mixed(1.0), &mask, true);
-        assert!(crept > 0, "a slow cross-fade must fool picture-to-picture tracking, or this test proves nothing");
-        assert_eq!(tracker.tracks().iter().filter(|t| t.id < old).count(), 0);
+        let kept = tracker.tracks().iter().filter(|t| t.id < old).count();
+        assert!(crept * 2 > old as usize, "a slow cross-fade must fool picture-to-picture tracking: {crept} of {old}");
+        assert!(kept * 20 <= old as usize, "{kept} of {old}");
     }
 
     #[test]
