@@ -2,6 +2,9 @@
 
 mod bvh;
 pub mod half_edge;
+mod hole_fill;
+mod polygon;
+pub mod repair;
 mod tri_mesh;
 
 pub use bvh::{Bvh, Nearest};
