@@ -2,6 +2,9 @@
 
 mod bvh;
 pub mod half_edge;
+mod hole_fill;
+mod polygon;
+pub mod repair;
 pub mod simplify;
 mod tri_mesh;
 

@@ -11,7 +11,7 @@ use crate::texture::{encode_key_texture, fit_camera};
 use crate::{CodecError, Result, Scan, StreamHeader};
 
 /// What the encoder may be told.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct EncoderConfig {
     /// Written before the first group.
     pub header: StreamHeader,
@@ -107,7 +107,7 @@ impl Encoder {
         let due = self.last_stamp.is_none() || stamp.tick >= self.next_key_tick;
         let prepared = match due.then(|| self.prepare(&scan.mesh)) {
             Some(Ok((mesh, report))) => {
-                pushed.repair = report.changed().then_some(report);
+                pushed.repair = report.has_damage().then_some(report);
                 Some(mesh)
             }
             Some(Err(error)) if self.last_stamp.is_none() => return Err(error),

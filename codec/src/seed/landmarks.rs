@@ -2,7 +2,7 @@
 
 use super::group::LandmarkPair;
 use crate::mesh::{Bvh, TriMesh};
-use crate::motion::{FeatureFrame, PixelMap, Tracker, consistent};
+use crate::motion::{FeatureFrame, PixelMap, Tracker, TrackerOptions, consistent};
 use crate::param::locate::Place;
 use crate::{Result, Scan};
 use glam::Vec3;
@@ -48,7 +48,10 @@ impl LandmarkTrail {
     fn feature_frame(&mut self, scan: &Scan) -> Result<FeatureFrame> {
         match &self.frame {
             Some(frame) => Ok(frame.clone()),
-            None => Ok(self.frame.insert(FeatureFrame::about(&scan.mesh)?).clone()),
+            None => {
+                self.tracker = Tracker::new(TrackerOptions::relief());
+                Ok(self.frame.insert(FeatureFrame::about(&scan.mesh)?).clone())
+            }
         }
     }
 

@@ -88,8 +88,8 @@ impl Encode {
         config.vertex_ratio = self.vertex_ratio;
         config.texture_quality = self.texture_quality;
         config.repair.open_closed = self.open_closed;
-        let mut job = Job::start(&self, &folder, config)?;
         let period_nanos = config.header.scan_period_nanos;
+        let mut job = Job::start(&self, &folder, config)?;
         let bar = bar(folder.len() as u64, "encode");
         std::thread::scope(|scope| -> Result<()> {
             let (to_encoder, loaded) = sync_channel(READ_AHEAD);
@@ -143,6 +143,7 @@ type Loaded = (usize, Result<LoadedScan, crate::files::FileError>);
 impl Job {
     fn start(command: &Encode, folder: &ScanFolder, config: EncoderConfig) -> Result<Self> {
         let encoder = Encoder::new(config)?;
+        let header = encoder.header();
         let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
         let settings = format!(
             "fps = {:?}\nkeyframe_interval = {}\nvertex_ratio = {}\ntexture_quality = {}\nposition_step_mm = {:?}\n",
@@ -150,13 +151,13 @@ impl Job {
             command.keyframe_interval,
             command.vertex_ratio,
             command.texture_quality,
-            config.header.position_step_mm
+            header.position_step_mm
         );
         let producer = concat!("gv3 ", env!("CARGO_PKG_VERSION"));
         let metadata =
-            SessionMetadata::new(config.header.mode.name(), producer, created).with_configuration(&settings);
+            SessionMetadata::new(header.mode.name(), producer, created).with_configuration(&settings);
         let mut writer = SessionWriter::create(AtomicFile::create(&command.out, command.force)?, &metadata)?;
-        writer.write_stream(&encoder.header().encode())?;
+        writer.write_stream(&header.encode())?;
         let report = EncodeReport { input_bytes: folder.raw_bytes(), ..Default::default() };
         Ok(Self { encoder, writer, report, events: Vec::new(), time: Duration::ZERO, binary_bytes: 0 })
     }
