@@ -58,8 +58,7 @@ type DrawResult<'a> = Result<(), DrawingAreaErrorKind<<SVGBackend<'a> as Drawing
 
 fn draw<'a>(root: &Area<'a>, series: &[Series], marks: &Marks, [title, y_label]: [&str; 2]) -> DrawResult<'a> {
     root.fill(&WHITE)?;
-    root.draw(&Text::new(title.to_owned(), (MARGIN_PX, 16), ("sans-serif", 24).into_font().color(&INK)))?;
-    draw_legend(root, series, marks)?;
+    draw_head(root, title, series, marks)?;
     let ((start_s, end_s), top) = bounds(series, marks);
     let mut chart = ChartBuilder::on(root)
         .margin(16)
@@ -92,15 +91,15 @@ fn draw<'a>(root: &Area<'a>, series: &[Series], marks: &Marks, [title, y_label]:
             chart.draw_series(LineSeries::new(run.iter().copied(), colour.stroke_width(2)))?;
         }
     }
-    if let Some(first) = series.first() {
-        let dots = marks.keyframes_s.iter().filter_map(|&t| Some((t, value_at(&first.points, t)?)));
-        chart.draw_series(dots.map(|point| Circle::new(point, 4, COLOURS[0].filled())))?;
-    }
+    let first = series.first().map_or(&[][..], |one| &one.points);
+    let dots = marks.keyframes_s.iter().filter_map(|&t| Some((t, value_at(first, t)?)));
+    chart.draw_series(dots.map(|point| Circle::new(point, 4, COLOURS[0].filled())))?;
     Ok(())
 }
 
-/// One row of names under the title, so that no line is covered.
-fn draw_legend<'a>(root: &Area<'a>, series: &[Series], marks: &Marks) -> DrawResult<'a> {
+/// Title and under it one row of names, so that no line is covered.
+fn draw_head<'a>(root: &Area<'a>, title: &str, series: &[Series], marks: &Marks) -> DrawResult<'a> {
+    root.draw(&Text::new(title.to_owned(), (MARGIN_PX, 16), ("sans-serif", 24).into_font().color(&INK)))?;
     let y = HEAD_PX - 24;
     let mut x = MARGIN_PX;
     let mut label = |root: &Area<'a>, name: &str| {
