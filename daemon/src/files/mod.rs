@@ -5,6 +5,8 @@
 //! memory is taken.
 
 mod assemble;
+#[cfg(test)]
+mod damage_tests;
 mod error;
 pub mod obj;
 pub mod picture;

@@ -201,10 +201,12 @@ impl Plain {
 
 /// The absolute index, counted from one, of an index that may be relative (-1 is the last element seen).
 fn index(digits: &[u8], what: &str, seen: usize, total: usize) -> std::result::Result<usize, String> {
-    let shown = String::from_utf8_lossy(&digits[..digits.len().min(40)]);
     let number = std::str::from_utf8(digits).ok().and_then(|s| s.parse::<i64>().ok());
     match number {
-        None => Err(format!("`{shown}` is not a {what} number; a face is `f v/vt v/vt v/vt`")),
+        None => {
+            let shown = String::from_utf8_lossy(&digits[..digits.len().min(40)]);
+            Err(format!("`{shown}` is not a {what} number; a face is `f v/vt v/vt v/vt`"))
+        }
         Some(0) => Err(format!("a face names {what} 0; OBJ counts from 1")),
         Some(n) if n > 0 && n as u64 <= total as u64 => Ok(n as usize),
         Some(n) if n < 0 && n.unsigned_abs() <= seen as u64 => Ok(seen - n.unsigned_abs() as usize + 1),

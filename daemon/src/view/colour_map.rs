@@ -49,7 +49,10 @@ pub fn full_scale_mm(errors_mm: &[f32]) -> f32 {
     decades.map(|scale| scale as f32).find(|&scale| scale >= percentile).unwrap_or(percentile)
 }
 
-/// Draws an upright legend bar with five labels to its right: 0 at the bottom, `full_scale_mm` on top.
+/// Labelled steps of the legend bar: five divide 1, 2 and 5 evenly.
+const STEPS: u32 = 5;
+
+/// Draws an upright legend bar with six labels to its right: 0 at the bottom, `full_scale_mm` on top.
 pub fn draw_bar(
     image: &mut RgbImage,
     [left, top]: [u32; 2],
@@ -63,13 +66,15 @@ pub fn draw_bar(
             image.put_pixel(left + x, top + y, Rgb(colour));
         }
     }
-    let decimals = (1.0 - f64::from(full_scale_mm / 4.0).log10().floor()).max(0.0) as usize;
-    for tick in 0..=4_u32 {
-        let y = top + (height - 1) * (4 - tick) / 4;
+    let step_mm = f64::from(full_scale_mm) / f64::from(STEPS);
+    // The scale was rounded to f32; a little more keeps 0.01 from counting as 0.00999.
+    let decimals = (-(step_mm * 1.001).log10().floor()).max(0.0) as usize;
+    for tick in 0..=STEPS {
+        let y = top + (height - 1) * (STEPS - tick) / STEPS;
         for x in 0..5 {
             image.put_pixel(left + width + x, y, Rgb(ink));
         }
-        let label = format!("{:.decimals$}", f64::from(full_scale_mm) * f64::from(tick) / 4.0);
+        let label = format!("{:.decimals$}", step_mm * f64::from(tick));
         let label_top = y.saturating_sub(TextSize::Small.height_px() / 2);
         draw_text(image, &label, [left + width + 10, label_top], TextSize::Small, ink);
     }

@@ -13,10 +13,10 @@ const PANEL_HEIGHT_PX: u32 = 760;
 /// Least and greatest width of a panel.
 const PANEL_WIDTH_PX: [u32; 2] = [360, 1000];
 /// Strip above the panels for titles, below for the caption.
-const STRIP_PX: u32 = 44;
+const STRIP_PX: u32 = 48;
 const BAR_WIDTH_PX: u32 = 22;
 /// Room right of the panels for the bar and its labels.
-const LEGEND_WIDTH_PX: u32 = 130;
+const LEGEND_WIDTH_PX: u32 = 140;
 const INK: [u8; 3] = [40, 42, 48];
 
 /// What a comparison shows.
@@ -115,11 +115,11 @@ mod tests {
             side: ViewSide::default(),
         };
         let image = comparison.draw();
-        assert_eq!(image.dimensions(), (3 * 760 + 130, 760 + 88));
-        let middle = |panel: u32| image.get_pixel(panel * 760 + 380, 424).0;
+        assert_eq!(image.dimensions(), (3 * 760 + 140, 760 + 96));
+        let middle = |panel: u32| image.get_pixel(panel * 760 + 380, 428).0;
         assert_eq!(middle(0), middle(1));
         assert!(middle(0)[0] == middle(0)[1] && middle(2)[0] != middle(2)[1]);
-        let bar = [3 * 760 + 20, 44 + 95];
+        let bar = [3 * 760 + 20, 48 + 95];
         assert_eq!(image.get_pixel(bar[0], bar[1]).0, viridis(1.0));
         let png = png_bytes(&image);
         assert_eq!(image::load_from_memory(&png).unwrap().to_rgb8(), image);

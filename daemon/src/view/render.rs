@@ -121,7 +121,8 @@ pub fn render(mesh: &TriMesh, surface: Surface<'_>, frame: &ViewFrame, style: &R
     let shades = mesh.vertex_normals().into_iter().map(|n| lambert(frame.view_from_mesh * n));
     match (surface, &mesh.uv) {
         (Surface::Texture(picture), Some(uv)) => {
-            let values: Vec<Vec3> = uv.iter().zip(shades).map(|(t, s)| Vec3::new(t[0], t[1], 0.7 + 0.3 * s)).collect();
+            let values: Vec<Vec3> =
+                uv.iter().zip(shades).map(|(t, s)| Vec3::new(t[0], t[1], 0.85 + 0.15 * s)).collect();
             canvas.draw(mesh, &points, &values, |value| {
                 let grey = picture.sample(picture.uv_to_px([value.x, value.y])) * value.z;
                 [grey as u8; 3]

@@ -6,17 +6,17 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_wid
 /// Height of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum TextSize {
-    /// 16 pixels.
-    Small,
     /// 20 pixels.
+    Small,
+    /// 24 pixels.
     Large,
 }
 
 impl TextSize {
     fn raster(self) -> RasterHeight {
         match self {
-            Self::Small => RasterHeight::Size16,
-            Self::Large => RasterHeight::Size20,
+            Self::Small => RasterHeight::Size20,
+            Self::Large => RasterHeight::Size24,
         }
     }
 
@@ -59,25 +59,25 @@ mod tests {
 
     #[test]
     fn letters_stay_in_their_box_and_outside_is_cut_off() {
-        let mut image = RgbImage::from_pixel(60, 30, Rgb([255; 3]));
+        let mut image = RgbImage::from_pixel(60, 34, Rgb([255; 3]));
         draw_text(&mut image, "Hi", [10, 5], TextSize::Small, [0; 3]);
         let inked = |image: &RgbImage| {
             image.enumerate_pixels().filter(|p| p.2.0 != [255; 3]).map(|p| (p.0, p.1)).collect::<Vec<_>>()
         };
         let end = 10 + TextSize::Small.width_px("Hi");
         assert!(inked(&image).len() > 20);
-        assert!(inked(&image).iter().all(|&(x, y)| (10..end).contains(&x) && (5..21).contains(&y)));
+        assert!(inked(&image).iter().all(|&(x, y)| (10..end).contains(&x) && (5..25).contains(&y)));
         draw_text(&mut image, "far too long for this picture", [50, 25], TextSize::Large, [9; 3]);
     }
 
     #[test]
     fn unknown_characters_become_question_marks() {
         let drawn = |text| {
-            let mut image = RgbImage::new(20, 20);
+            let mut image = RgbImage::new(24, 24);
             draw_text(&mut image, text, [0, 0], TextSize::Large, [255; 3]);
             image
         };
         assert_eq!(drawn("\u{4e2d}"), drawn("?"));
-        assert_ne!(drawn("?"), RgbImage::new(20, 20));
+        assert_ne!(drawn("?"), RgbImage::new(24, 24));
     }
 }

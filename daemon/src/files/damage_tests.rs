@@ -1,7 +1,7 @@
 //! Readers of foreign files meet every truncation and every flipped bit of the fuzzing corpora: an error or a valid
 //! result, never a panic.
 
-use gv3::files::{obj::parse_obj, picture::parse_picture, ply::parse_ply};
+use super::{MeshFile, Result, obj::parse_obj, picture::parse_picture, ply::parse_ply};
 use std::path::Path;
 
 /// Calls `check` with every file of a corpus.
@@ -29,7 +29,7 @@ fn for_each_damage(bytes: &[u8], check: impl Fn(&[u8])) {
     }
 }
 
-fn check_mesh(parse: fn(&[u8], &Path) -> gv3::files::Result<gv3::files::MeshFile>, corpus: &str) {
+fn check_mesh(parse: fn(&[u8], &Path) -> Result<MeshFile>, corpus: &str) {
     for_each_file(corpus, |bytes, path| {
         parse(bytes, path).unwrap().mesh.validate().unwrap();
         for_each_damage(bytes, |damaged| match parse(damaged, path) {
