@@ -7,6 +7,7 @@ pub mod bits;
 mod error;
 mod linalg;
 pub mod mesh;
+pub mod metrics;
 pub mod motion;
 pub mod param;
 mod picture;
