@@ -40,8 +40,6 @@ pub fn scan_from_camera(p: Vec3) -> Vec3 {
 /// Per-pixel tables: the camera's ray, and the same in the projector's axes.
 #[derive(Debug, Clone)]
 pub struct Triangulator {
-    width_px: usize,
-    height_px: usize,
     rays: Vec<PixelRay>,
     translation_mm: Vec3,
     fx_px: f32,
@@ -70,8 +68,6 @@ impl Triangulator {
         let rays = calibration.camera.ray_table("camera")?;
         let distortion = calibration.projector.distortion;
         Ok(Self {
-            width_px: calibration.camera.width_px as usize,
-            height_px: calibration.camera.height_px as usize,
             rays: rays
                 .iter()
                 .map(|ray| PixelRay {

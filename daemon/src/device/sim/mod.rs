@@ -193,7 +193,8 @@ impl SimWorld {
         self.renderer.render(&self.posed_mm, &self.skin, shown, exposure_nanos, &self.config, picture_number)
     }
 
-    fn load(&mut self, sequence: &PatternSequence) {
+    /// Stores a sequence in the projector, which goes dark.
+    pub fn load(&mut self, sequence: &PatternSequence) {
         let shown = |(i, pattern)| ShownPattern::new(pattern, sequence.length_px(i));
         self.patterns = sequence.patterns.iter().enumerate().map(shown).collect();
         self.shown = Shown::Dark;
