@@ -129,7 +129,8 @@ pub struct SimWorld {
     shown: Shown,
     clock_nanos: u64,
     triggers: u64,
-    delivered_late: VecDeque<Frame>,
+    /// Doubled frames still to be delivered.
+    repeats: VecDeque<Frame>,
 }
 
 impl SimWorld {
@@ -153,7 +154,7 @@ impl SimWorld {
             shown: Shown::Dark,
             clock_nanos: 0,
             triggers: 0,
-            delivered_late: VecDeque::new(),
+            repeats: VecDeque::new(),
         })
     }
 
@@ -220,7 +221,7 @@ impl SimWorld {
 
     /// The frame of the projector's next trigger that the camera gets; `None` when the projector plays nothing.
     fn next_triggered_frame(&mut self, exposure_nanos: u64) -> Option<Frame> {
-        if let Some(frame) = self.delivered_late.pop_front() {
+        if let Some(frame) = self.repeats.pop_front() {
             return Some(frame);
         }
         let Shown::Playing { timing, start_nanos } = self.shown else { return None };
@@ -237,7 +238,7 @@ impl SimWorld {
             let pattern = PatternIndex((sequence % self.patterns.len() as u64) as u16);
             let frame = self.frame(sequence, pattern, time_nanos, exposure_nanos);
             if fault == Some(FaultKind::Doubled) {
-                self.delivered_late.push_back(frame.clone());
+                self.repeats.push_back(frame.clone());
             }
             return Some(frame);
         }
