@@ -13,7 +13,7 @@ pub struct Frame {
     pub sequence: u64,
     /// Pattern that the trigger counter says was shown.
     pub pattern: PatternIndex,
-    /// Middle of the exposure on the sensor's clock, nanoseconds since the run began.
+    /// Middle of the exposure on the sensor's clock, nanoseconds since the device was opened for the run.
     pub device_time_nanos: u64,
     /// Arrival on the host's clock, nanoseconds.
     pub host_time_nanos: u64,

@@ -48,6 +48,24 @@ const TRIANGLES: [[usize; 3]; 4] = [[0, 2, 1], [1, 2, 3], [0, 2, 3], [0, 3, 1]];
 const RISING: [u8; 2] = [0, 1];
 const FALLING: [u8; 2] = [2, 3];
 
+/// Bit c: corner c is part of the triangles that an index's bits name.
+const CORNERS: [u8; 16] = {
+    let mut corners = [0; 16];
+    let mut bits = 0;
+    while bits < 16 {
+        let mut k = 0;
+        while k < 4 {
+            if bits >> k & 1 != 0 {
+                let [a, b, c] = TRIANGLES[k];
+                corners[bits] |= 1 << a | 1 << b | 1 << c;
+            }
+            k += 1;
+        }
+        bits += 1;
+    }
+    corners
+};
+
 /// Makes meshes of point grids; keeps its buffers between scans.
 #[derive(Debug, Clone)]
 pub struct GridMesher {
@@ -112,16 +130,15 @@ impl GridMesher {
 
     #[inline]
     fn triangulate_cell(&self, p: [Vec3; 4]) -> u8 {
-        let missing = p.map(|c| c.x.is_nan());
+        // Most cells are all there or all missing: one branch each.
+        let missing = p.iter().enumerate().fold(0, |bits, (k, c)| bits | u8::from(c.x.is_nan()) << k);
         let candidates: &[u8] = match missing {
-            [false, false, false, false] => {
-                // NaN compares false, but no corner is NaN here.
-                if p[1].distance_squared(p[2]) <= p[0].distance_squared(p[3]) { &RISING } else { &FALLING }
-            }
-            [false, false, false, true] => &[0],
-            [true, false, false, false] => &[1],
-            [false, true, false, false] => &[2],
-            [false, false, true, false] => &[3],
+            0b0000 if p[1].distance_squared(p[2]) <= p[0].distance_squared(p[3]) => &RISING,
+            0b0000 => &FALLING,
+            0b1000 => &[0],
+            0b0001 => &[1],
+            0b0010 => &[2],
+            0b0100 => &[3],
             _ => return 0,
         };
         let mut bits = 0;
@@ -173,11 +190,10 @@ impl GridMesher {
         self.vertex_of_pixel.resize(grid.points_mm.len(), u32::MAX);
         for (y, row) in self.cells.chunks_exact(w - 1).enumerate() {
             for (x, &bits) in row.iter().enumerate().filter(|(_, bits)| **bits != 0) {
-                for_each_triangle(bits, |corners| {
-                    for corner in corners {
-                        self.vertex_of_pixel[(y + corner / 2) * w + x + corner % 2] = 0;
-                    }
-                });
+                let used = CORNERS[bits as usize];
+                for corner in (0..4).filter(|corner| used >> corner & 1 != 0) {
+                    self.vertex_of_pixel[(y + corner / 2) * w + x + corner % 2] = 0;
+                }
             }
         }
         let mut next = 0;
@@ -341,7 +357,7 @@ mod tests {
             let (x, y) = (i % 60, i / 60);
             let in_speck = (50..54).contains(&x) && (4..8).contains(&y);
             // A U of two arms that meet only at the bottom: one piece.
-            let in_piece = x < 40 && (y >= 30 || x < 10 || x >= 30);
+            let in_piece = x < 40 && (y >= 30 || !(10..30).contains(&x));
             if !in_speck && !in_piece {
                 *p = Vec3::NAN;
             }

@@ -102,3 +102,97 @@ impl Reconstructor {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::sim::{Fault, FaultKind, SimWorld};
+    use crate::device::{self, RigConfig};
+    use crate::pipeline::{DropCounts, FrameSetAssembler};
+    use std::time::Instant;
+
+    fn run(config: &RigConfig, pictures: usize) -> (Vec<FrameSet>, Reconstructor, DropCounts) {
+        let mut rig = device::open(config).unwrap();
+        rig.camera.configure(&config.camera_settings()).unwrap();
+        rig.projector.load(&rig.sequence).unwrap();
+        rig.camera.start().unwrap();
+        rig.projector.play(&rig.timing).unwrap();
+        let mut assembler = FrameSetAssembler::new(&rig.sequence, &rig.timing);
+        let mut next = || rig.camera.next_frame(Instant::now()).unwrap();
+        let sets = (0..pictures).filter_map(|_| assembler.push(next())).collect();
+        let reconstructor = Reconstructor::new(&rig.calibration, &rig.sequence, &rig.limits).unwrap();
+        (sets, reconstructor, assembler.finish())
+    }
+
+    /// Distances of the scan's vertices from the true surface along its normals, mm: root mean square, and how many exceed 2 mm.
+    fn distance_to_truth(scan: &Scan, world: &mut SimWorld) -> (f64, usize) {
+        let depth_mm = world.truth_depth_mm(scan.time_nanos);
+        let (texture, uv) = (scan.texture.as_ref().unwrap(), scan.mesh.uv.as_ref().unwrap());
+        let normals = scan.mesh.vertex_normals();
+        let (mut sum, mut count, mut far) = (0.0, 0, 0);
+        for (i, p) in scan.mesh.positions_mm.iter().enumerate() {
+            let [x, y] = texture.uv_to_px(uv[i]).map(|v| v.round() as usize);
+            let truth_mm = depth_mm[y * 640 + x];
+            if truth_mm > 0.0 {
+                let distance = f64::from((*p - *p * (truth_mm / -p.z)).dot(normals[i]));
+                sum += distance * distance;
+                count += 1;
+                far += usize::from(distance.abs() > 2.0);
+            }
+        }
+        assert!(count * 1000 > scan.mesh.vertex_count() * 999, "vertices where nothing is");
+        ((sum / f64::from(count as u32)).sqrt(), far)
+    }
+
+    #[test]
+    fn scans_of_the_moving_head_match_the_truth() {
+        let config = RigConfig::simulated();
+        let (sets, mut reconstructor, drops) = run(&config, 18);
+        assert_eq!((sets.len(), drops.sets()), (3, 0));
+        let mut world = SimWorld::new(&config).unwrap();
+        for set in &sets {
+            let Reconstruction { scan, rejected } = reconstructor.reconstruct(set).unwrap();
+            scan.mesh.validate().unwrap();
+            let vertices = scan.mesh.vertex_count();
+            assert!((100_000..130_000).contains(&vertices), "{vertices} vertices");
+            assert_eq!(vertices as u64 + rejected.total(), 640 * 480);
+            let (rms_mm, far) = distance_to_truth(&scan, &mut world);
+            assert!(rms_mm < 0.15, "{rms_mm} mm");
+            // A wrong fringe order is off by 19 mm.
+            assert_eq!((far, rejected.fringe_order), (0, 0));
+        }
+    }
+
+    #[test]
+    fn without_noise_and_motion_only_rounding_is_left() {
+        let mut config = RigConfig::simulated();
+        config.sim.motion = 0.0;
+        config.sim.read_noise_levels = 0.0;
+        config.sim.electrons_per_level = 1e9;
+        let (sets, mut reconstructor, _) = run(&config, 6);
+        let scan = reconstructor.reconstruct(&sets[0]).unwrap().scan;
+        let (rms_mm, _) = distance_to_truth(&scan, &mut SimWorld::new(&config).unwrap());
+        assert!(rms_mm < 0.025, "{rms_mm} mm");
+    }
+
+    #[test]
+    fn faults_drop_their_sets_and_the_next_is_right_again() {
+        let mut config = RigConfig::simulated();
+        config.sim.faults = [(FaultKind::Lost, 0), (FaultKind::Doubled, 1), (FaultKind::Late, 3)]
+            .map(|(kind, set)| Fault { kind, set, picture: 4 })
+            .to_vec();
+        let (sets, mut reconstructor, drops) = run(&config, 30);
+        assert_eq!(sets.iter().map(|s| s.tick).collect::<Vec<_>>(), [2, 4]);
+        assert_eq!(drops, DropCounts { lost: 1, doubled: 1, late: 1, ..DropCounts::default() });
+        let scan = reconstructor.reconstruct(&sets[1]).unwrap().scan;
+        assert_eq!((scan.tick, scan.time_nanos), (4, 28 * 5_555_556));
+        assert!(distance_to_truth(&scan, &mut SimWorld::new(&config).unwrap()).0 < 0.15);
+    }
+
+    #[test]
+    fn pictures_of_another_size_are_refused_by_name() {
+        let (mut sets, mut reconstructor, _) = run(&RigConfig::simulated(), 6);
+        sets[0].frames[2].picture = GreyPicture::filled(320, 240, 0);
+        assert!(reconstructor.reconstruct(&sets[0]).unwrap_err().to_string().starts_with("frames[2]"));
+    }
+}

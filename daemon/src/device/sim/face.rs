@@ -11,7 +11,7 @@ pub const COLUMNS: usize = 204;
 /// Lowest and highest row, mm.
 const BOTTOM_MM: f32 = -113.0;
 const TOP_MM: f32 = 117.0;
-/// Height of the line between the lips at rest, mm.
+/// Height of the mouth's corners, mm.
 pub const MOUTH_Y_MM: f32 = -50.0;
 /// Centres of the eyes, mm.
 pub const EYE_X_MM: f32 = 31.0;
@@ -44,10 +44,16 @@ pub fn inside_eye(x: f32, y: f32) -> f32 {
     smoothstep(-0.2, 0.9, (y - low).min(high - y)) * smoothstep(14.0, 12.5, dx.abs())
 }
 
+/// Height of the line between the lips at rest: the corners a little lower than the middle.
+pub fn mouth_line_mm(x: f32) -> f32 {
+    MOUTH_Y_MM + 1.2 * (-0.5 * (x / 9.0).powi(2)).exp() - 0.5 * (-0.5 * (x / 3.0).powi(2)).exp()
+}
+
 /// Half the width of the visible face at height `y`, mm.
 fn half_width_mm(y: f32) -> f32 {
     let q = ((y - 8.0) / if y > 8.0 { 113.5 } else { 125.0 }).abs();
-    87.0 * (1.0 - q.powf(2.5)).max(0.0).powf(1.0 / 2.2)
+    let power = if y > 8.0 { 2.5 } else { 2.2 };
+    87.0 * (1.0 - q.powf(power)).max(0.0).powf(1.0 / 2.2) * (1.0 - 0.16 * smoothstep(-10.0, -90.0, y))
 }
 
 /// Larger of two numbers, rounded off over a width of about 2 mm.
@@ -62,7 +68,7 @@ fn depth_mm(x: f32, y: f32, eyes_open: bool) -> f32 {
     let mut z = 85.0 * ((1.0 - q).max(0.0).powf(1.0 / 2.4) - 1.0);
     let at = |cx: f32, cy: f32, sx: f32, sy: f32| bump(ax, y, [cx, cy], [sx, sy]);
     z += 5.0 * (-0.5 * ((y - 45.0 + 0.004 * x * x) / 8.5).powi(2)).exp() * smoothstep(72.0, 30.0, ax);
-    z += 3.0 * at(0.0, 80.0, 45.0, 25.0) - 4.0 * at(80.0, 45.0, 14.0, 28.0);
+    z += 4.0 * at(0.0, 82.0, 45.0, 25.0) - 4.0 * at(80.0, 45.0, 14.0, 28.0);
     z -= 10.0 * at(EYE_X_MM, EYE_Y_MM + 1.0, 15.0, 10.5) + 5.0 * at(13.0, EYE_Y_MM + 3.0, 6.0, 9.0);
     z += 5.0 * at(47.0, -8.0, 19.0, 20.0) - 3.0 * at(52.0, -52.0, 15.0, 20.0);
     z += nose_mm(x, y) + mouth_mm(x, y);
@@ -75,9 +81,9 @@ fn depth_mm(x: f32, y: f32, eyes_open: bool) -> f32 {
 
 fn nose_mm(x: f32, y: f32) -> f32 {
     let ax = x.abs();
-    let along = ((34.0 - y) / 50.0).clamp(0.0, 1.0);
+    let along = ((36.0 - y) / 52.0).clamp(0.0, 1.0);
     let width = 6.5 + 4.0 * along;
-    let ridge = 22.0 * along.powf(1.3) * smoothstep(-33.0, -15.0, y) * (-0.5 * (x / width).powi(2)).exp();
+    let ridge = 21.0 * along.powf(1.15) * smoothstep(-33.0, -15.0, y) * (-0.5 * (x / width).powi(2)).exp();
     let tip = 5.0 * bump(x, y, [0.0, -15.0], [8.5, 8.0]);
     let wings = 8.0 * bump(ax, y, [12.5, -20.0], [5.0, 6.5]);
     let nostrils = 3.0 * bump(ax, y, [6.5, -28.0], [3.0, 2.4]);
@@ -86,12 +92,12 @@ fn nose_mm(x: f32, y: f32) -> f32 {
 
 fn mouth_mm(x: f32, y: f32) -> f32 {
     let ax = x.abs();
-    let from_line = y - MOUTH_Y_MM;
+    let from_line = y - mouth_line_mm(x);
     let lip = |height: f32, sigma: f32| (-0.5 * ((from_line - height) / sigma).powi(2)).exp();
     let upper_height = 5.2 - 0.8 * bump(x, 0.0, [0.0, 0.0], [3.0, 1.0]);
-    let upper = 4.0 * lip(upper_height, 3.4) * smoothstep(28.0, 12.0, ax);
-    let lower = 5.0 * lip(-5.8, 4.0) * smoothstep(25.0, 10.0, ax);
-    let line = 3.5 * lip(0.0, 1.7) * smoothstep(29.0, 22.0, ax);
+    let upper = 4.6 * lip(upper_height, 3.0) * smoothstep(28.0, 12.0, ax);
+    let lower = 5.8 * lip(-6.0, 3.8) * smoothstep(25.0, 10.0, ax);
+    let line = 3.0 * lip(0.0, 1.6) * smoothstep(29.0, 22.0, ax);
     let muzzle = 7.0 * bump(x, y, [0.0, -50.0], [28.0, 19.0]);
     let philtrum = bump(ax, y, [4.5, -37.0], [2.2, 6.0]) - 1.3 * bump(x, y, [0.0, -37.0], [2.4, 6.0]);
     let chin_fold = 4.0 * bump(x, y, [0.0, -69.0], [16.0, 5.0]);
@@ -100,7 +106,11 @@ fn mouth_mm(x: f32, y: f32) -> f32 {
 
 fn with_eyeball(ax: f32, y: f32, z: f32, eyes_open: bool) -> f32 {
     let r2 = (ax - EYE_X_MM).powi(2) + (y - EYE_Y_MM).powi(2);
-    let front = |radius: f32| -19.0 + (radius * radius - r2).max(0.0).sqrt();
+    // Beside the ball a cone falls away, so that the larger of the two stays the face.
+    let front = |radius: f32| {
+        let rest = radius * radius - r2;
+        if rest > 0.0 { -19.0 + rest.sqrt() } else { -19.0 - 4.0 * (r2.sqrt() - radius) }
+    };
     let lids = soft_max(z, front(13.6));
     if !eyes_open {
         return lids;
@@ -165,7 +175,7 @@ impl Face {
         Self {
             jaw_sine: movement(|p| jaw_weight(p) * Vec3::new(0.0, HINGE_MM[1] - p.z, p.y - HINGE_MM[0])),
             jaw_versine: movement(|p| jaw_weight(p) * Vec3::new(0.0, HINGE_MM[0] - p.y, HINGE_MM[1] - p.z)),
-            mouth_pocket: movement(|p| Vec3::NEG_Z * bump(p.x, p.y, [0.0, MOUTH_Y_MM], [13.0, 1.1])),
+            mouth_pocket: movement(|p| Vec3::NEG_Z * bump(p.x, p.y, [0.0, mouth_line_mm(p.x)], [13.0, 1.1])),
             smile: movement(smile_shift),
             pucker: movement(pucker_shift),
             blink: movement(blink_shift),
@@ -224,7 +234,8 @@ fn row_heights_mm() -> Vec<f32> {
 /// Part of the jaw's turn a place takes: none above the line between the lips, all below, a soft change in the cheeks.
 fn jaw_weight(p: Vec3) -> f32 {
     let softness = 0.9 + 34.0 * smoothstep(19.0, 62.0, p.x.abs());
-    smoothstep(MOUTH_Y_MM + softness, MOUTH_Y_MM - softness, p.y) * (1.0 - 0.5 * smoothstep(50.0, 90.0, p.x.abs()))
+    smoothstep(mouth_line_mm(p.x) + softness, mouth_line_mm(p.x) - softness, p.y)
+        * (1.0 - 0.5 * smoothstep(50.0, 90.0, p.x.abs()))
 }
 
 fn smile_shift(p: Vec3) -> Vec3 {

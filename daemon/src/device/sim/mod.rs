@@ -129,7 +129,8 @@ pub struct SimWorld {
     shown: Shown,
     clock_nanos: u64,
     triggers: u64,
-    delivered_late: VecDeque<Frame>,
+    /// Doubled frames still to be delivered.
+    repeats: VecDeque<Frame>,
 }
 
 impl SimWorld {
@@ -153,7 +154,7 @@ impl SimWorld {
             shown: Shown::Dark,
             clock_nanos: 0,
             triggers: 0,
-            delivered_late: VecDeque::new(),
+            repeats: VecDeque::new(),
         })
     }
 
@@ -193,7 +194,8 @@ impl SimWorld {
         self.renderer.render(&self.posed_mm, &self.skin, shown, exposure_nanos, &self.config, picture_number)
     }
 
-    fn load(&mut self, sequence: &PatternSequence) {
+    /// Stores a sequence in the projector, which goes dark.
+    pub fn load(&mut self, sequence: &PatternSequence) {
         let shown = |(i, pattern)| ShownPattern::new(pattern, sequence.length_px(i));
         self.patterns = sequence.patterns.iter().enumerate().map(shown).collect();
         self.shown = Shown::Dark;
@@ -219,7 +221,7 @@ impl SimWorld {
 
     /// The frame of the projector's next trigger that the camera gets; `None` when the projector plays nothing.
     fn next_triggered_frame(&mut self, exposure_nanos: u64) -> Option<Frame> {
-        if let Some(frame) = self.delivered_late.pop_front() {
+        if let Some(frame) = self.repeats.pop_front() {
             return Some(frame);
         }
         let Shown::Playing { timing, start_nanos } = self.shown else { return None };
@@ -236,7 +238,7 @@ impl SimWorld {
             let pattern = PatternIndex((sequence % self.patterns.len() as u64) as u16);
             let frame = self.frame(sequence, pattern, time_nanos, exposure_nanos);
             if fault == Some(FaultKind::Doubled) {
-                self.delivered_late.push_back(frame.clone());
+                self.repeats.push_back(frame.clone());
             }
             return Some(frame);
         }
@@ -264,5 +266,109 @@ impl SimWorld {
             exposure_nanos,
             picture: self.expose(time_nanos, shown, exposure_nanos, sequence),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{self, CameraSettings, Rig, TriggerSource};
+    use std::time::Instant;
+
+    fn playing(config: &RigConfig) -> Rig {
+        let mut rig = device::open(config).unwrap();
+        rig.camera.configure(&config.camera_settings()).unwrap();
+        rig.projector.load(&rig.sequence).unwrap();
+        rig.camera.start().unwrap();
+        rig.projector.play(&rig.timing).unwrap();
+        rig
+    }
+
+    fn frames(config: &RigConfig, count: usize) -> Vec<Frame> {
+        let mut rig = playing(config);
+        (0..count).map(|_| rig.camera.next_frame(Instant::now()).unwrap()).collect()
+    }
+
+    #[test]
+    fn same_seed_same_bytes_and_another_seed_another_world() {
+        let config = RigConfig::simulated();
+        let first = frames(&config, 4);
+        assert!(first == frames(&config, 4));
+        let mut other = config;
+        other.sim.seed = 2;
+        assert!(first != frames(&other, 4));
+    }
+
+    #[test]
+    fn pictures_are_well_exposed_and_follow_the_patterns() {
+        let frames = frames(&RigConfig::simulated(), 6);
+        let saturated: usize = frames.iter().flat_map(|f| &f.picture.pixels).filter(|&&v| v >= 252).count();
+        assert!(saturated < 20, "{saturated} saturated pixels");
+        let forehead = |f: &Frame| (100..130).map(|y| f32::from(f.picture.pixels[y * 640 + 330])).sum::<f32>() / 30.0;
+        let levels: Vec<f32> = frames[3..].iter().map(forehead).collect();
+        let spread = levels.iter().copied().fold(0.0, f32::max) - levels.iter().copied().fold(255.0, f32::min);
+        assert!(spread > 60.0, "{levels:?}");
+        assert_eq!(frames[4].device_time_nanos, 4 * 5_555_556);
+    }
+
+    #[test]
+    fn faults_lose_double_and_delay_pictures() {
+        let mut config = RigConfig::simulated();
+        let fault = |kind, set, picture| Fault { kind, set, picture };
+        config.sim.faults =
+            vec![fault(FaultKind::Lost, 0, 1), fault(FaultKind::Doubled, 0, 3), fault(FaultKind::Late, 0, 5)];
+        let wrong = frames(&config, 6);
+        let sequences: Vec<u64> = wrong.iter().map(|f| f.sequence).collect();
+        assert_eq!(sequences, [0, 2, 3, 3, 4, 5]);
+        assert_eq!(wrong[5].device_time_nanos, 5 * 5_555_556 + 3_333_333);
+        config.sim.faults.clear();
+        let right = frames(&config, 7);
+        // The late picture shows the next pattern, whatever its label says.
+        let distance = |a: &Frame, b: &Frame| -> i64 {
+            a.picture.pixels.iter().zip(&b.picture.pixels).map(|(a, b)| i64::from(a.abs_diff(*b))).sum()
+        };
+        assert!(distance(&wrong[5], &right[6]) * 4 < distance(&wrong[5], &right[5]));
+    }
+
+    #[test]
+    fn calls_out_of_order_are_errors() {
+        let config = RigConfig::simulated();
+        let mut rig = device::open(&config).unwrap();
+        assert!(matches!(rig.camera.next_frame(Instant::now()), Err(DeviceError::State(_))));
+        assert!(matches!(rig.camera.start(), Err(DeviceError::State(_))));
+        assert!(matches!(rig.projector.play(&rig.timing), Err(DeviceError::State(_))));
+        rig.camera.configure(&config.camera_settings()).unwrap();
+        rig.camera.start().unwrap();
+        assert!(matches!(rig.camera.next_frame(Instant::now()), Err(DeviceError::Timeout(_))));
+        let too_small = CameraSettings { width_px: 320, ..config.camera_settings() };
+        assert!(rig.camera.configure(&too_small).unwrap_err().to_string().starts_with("camera.width_px"));
+    }
+
+    #[test]
+    fn a_still_pattern_is_seen_on_the_cameras_own_clock() {
+        let config = RigConfig::simulated();
+        let mut rig = device::open(&config).unwrap();
+        rig.projector.load(&rig.sequence).unwrap();
+        let own_clock = TriggerSource::Internal { period_nanos: 20_000_000 };
+        rig.camera.configure(&CameraSettings { trigger: own_clock, ..config.camera_settings() }).unwrap();
+        rig.camera.start().unwrap();
+        let dark = rig.camera.next_frame(Instant::now()).unwrap();
+        rig.projector.show(PatternIndex(2)).unwrap();
+        let lit = rig.camera.next_frame(Instant::now()).unwrap();
+        let brightest = |f: &Frame| f.picture.pixels.iter().copied().max();
+        assert!(brightest(&dark) < Some(30) && brightest(&lit) > Some(120));
+        assert_eq!((lit.pattern, lit.device_time_nanos), (PatternIndex(2), 40_000_000));
+    }
+
+    #[test]
+    fn truth_is_a_valid_surface_that_the_camera_sees() {
+        let mut world = SimWorld::new(&RigConfig::simulated()).unwrap();
+        let truth = world.truth_mesh(1_000_000_000);
+        truth.validate().unwrap();
+        assert!(truth.vertex_normals().iter().filter(|n| n.z > 0.0).count() > truth.vertex_count() * 9 / 10);
+        let seen = world.truth_depth_mm(1_000_000_000).iter().filter(|z| **z > 0.0).count();
+        assert!((100_000..135_000).contains(&seen), "{seen} pixels");
+        let albedo = world.truth_albedo();
+        assert_eq!(albedo.pixels.len(), albedo.width_px as usize * albedo.height_px as usize);
     }
 }

@@ -1,5 +1,6 @@
 //! What the head does when: smooth functions of time, closed mouth and open eyes at time 0.
 
+use super::face::smoothstep;
 use super::noise;
 use glam::{EulerRot, Mat3, Vec3};
 use std::f32::consts::TAU;
@@ -34,11 +35,6 @@ const YAW_RAD: f32 = 0.07;
 
 fn swing(t: f32, hertz: f32) -> f32 {
     0.5 - 0.5 * (TAU * hertz * t).cos()
-}
-
-fn smoothstep(from: f32, to: f32, x: f32) -> f32 {
-    let s = ((x - from) / (to - from)).clamp(0.0, 1.0);
-    s * s * (3.0 - 2.0 * s)
 }
 
 impl Posture {

@@ -59,7 +59,7 @@ impl Projector for SimProjector {
         }
         world.shown = Shown::Playing { timing: *timing, start_nanos: world.clock_nanos };
         world.triggers = 0;
-        world.delivered_late.clear();
+        world.repeats.clear();
         Ok(())
     }
 

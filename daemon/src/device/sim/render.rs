@@ -14,12 +14,12 @@ use glam::{Mat3, Vec3};
 use gv3_codec::GreyPicture;
 
 /// Grey levels of a white surface lit head-on at 600 mm in a nominal exposure.
-const GAIN_LEVELS: f32 = 335.0;
+const GAIN_LEVELS: f32 = 320.0;
 const NOMINAL_EXPOSURE_NANOS: f32 = 5_000_000.0;
 /// Light of a black projector pixel over that of a white one.
 const BLACK_LEVEL: f32 = 0.01;
 /// Strength of the specular light (exponent 16).
-const SPECULAR: f32 = 0.07;
+const SPECULAR: f32 = 0.05;
 /// The shadow map has one cell for this many projector pixels each way, and every other vertex.
 const SHADOW_CELL_PX: f32 = 4.0;
 const SHADOW_STEP: usize = 2;

@@ -1,6 +1,6 @@
 //! Albedo of the face, fixed to the material: skin with speckle and pores, brows, lips, eyes.
 
-use super::face::{self, EYE_X_MM, EYE_Y_MM, MOUTH_Y_MM, bump, smoothstep};
+use super::face::{self, EYE_X_MM, EYE_Y_MM, bump, smoothstep};
 use super::noise;
 use gv3_codec::GreyPicture;
 
@@ -93,12 +93,12 @@ fn with_features(x: f32, y: f32, skin: f32, hair: f32) -> f32 {
     let brow_line = 43.0 + 4.0 * smoothstep(10.0, 34.0, ax) - 7.0 * smoothstep(36.0, 56.0, ax);
     let brow = smoothstep(4.6, 2.0, (y - brow_line).abs()) * smoothstep(11.0, 16.0, ax) * smoothstep(55.0, 44.0, ax);
     paint(brow * (0.72 + 0.2 * hair), 0.24);
-    let from_line = y - MOUTH_Y_MM;
+    let from_line = y - face::mouth_line_mm(x);
     let upper_edge = 7.2 * (1.0 - (ax / 27.0).powi(2)) - 1.2 * bump(x, 0.0, [0.0, 0.0], [3.0, 1.0]);
     let lower_edge = 9.5 * (1.0 - (ax / 26.0).powi(2));
     let edge = if from_line > 0.0 { upper_edge } else { lower_edge };
-    paint(0.8 * smoothstep(0.8, -0.8, from_line.abs() - edge), 0.75 * skin * 0.95);
-    paint(smoothstep(1.3, 0.7, from_line.abs()) * smoothstep(28.0, 24.0, ax), 0.13);
+    paint(0.9 * smoothstep(0.8, -0.8, from_line.abs() - edge), 0.68 * skin);
+    paint(smoothstep(1.2, 0.5, from_line.abs()) * smoothstep(28.0, 24.0, ax), 0.22);
     paint(0.9 * bump(ax, y, [6.5, -28.5], [2.6, 1.7]), 0.12);
     let eye = face::inside_eye(x, y);
     let r = (ax - EYE_X_MM).hypot(y - EYE_Y_MM);
