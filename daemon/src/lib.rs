@@ -13,7 +13,7 @@ pub mod cli;
 pub mod device;
 pub mod files;
 pub mod light;
-//pub mod measure;
+pub mod measure;
 pub mod pipeline;
 pub mod replay;
 pub mod view;

@@ -3,6 +3,7 @@
 use super::Outcome;
 use super::progress::{bar, human_bytes};
 use crate::files::{LoadedScan, Repairs, ScanFolder};
+use crate::measure::binary_bytes;
 use crate::pipeline::record::write_group;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
@@ -241,10 +242,4 @@ impl Job {
         self.report.percent_of_input = 100.0 * self.report.session_bytes as f64 / self.report.input_bytes as f64;
         Ok(self.report)
     }
-}
-
-/// A scan as float32 vertices, u32 triangles and 8-bit texture.
-pub fn binary_bytes(scan: &Scan) -> u64 {
-    let texture = scan.texture.as_ref().map_or(0, |t| t.pixels.len());
-    (12 * scan.mesh.vertex_count() + 12 * scan.mesh.triangles.len() + texture) as u64
 }

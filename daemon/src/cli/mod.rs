@@ -4,10 +4,10 @@
 
 mod capture;
 mod decode;
-//mod demo;
+mod demo;
 mod encode;
 mod info;
-//mod measure;
+mod measure;
 mod progress;
 mod recover;
 mod verify;
@@ -31,14 +31,14 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    //Demo(demo::Demo),
+    Demo(demo::Demo),
     Capture(capture::Capture),
     Encode(encode::Encode),
     Decode(decode::Decode),
     Info(info::Info),
     Verify(verify::Verify),
     Recover(recover::Recover),
-    //Measure(measure::Measure),
+    Measure(measure::Measure),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -70,14 +70,14 @@ pub fn main() -> ExitCode {
         .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()))
         .init();
     let outcome = match arguments.command {
-        //Command::Demo(c) => c.run(),
+        Command::Demo(c) => c.run(),
         Command::Capture(c) => c.run(),
         Command::Encode(c) => c.run(),
         Command::Decode(c) => c.run(),
         Command::Info(c) => c.run(),
         Command::Verify(c) => c.run(),
         Command::Recover(c) => c.run(),
-        //Command::Measure(c) => c.run(),
+        Command::Measure(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {
