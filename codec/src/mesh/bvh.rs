@@ -58,7 +58,7 @@ type Item = (Vec3, u32);
 
 /// A triangle in leaf order.
 #[derive(Debug, Clone, Copy)]
-struct Triangle {
+pub(crate) struct Triangle {
     a: Vec3,
     ab: Vec3,
     ac: Vec3,
@@ -67,10 +67,10 @@ struct Triangle {
 
 /// Nearest point on one triangle: weights of corners b and c, and the offset from the query point.
 #[derive(Clone, Copy)]
-struct Closest {
-    v: f32,
-    w: f32,
-    offset: Vec3,
+pub(crate) struct Closest {
+    pub(crate) v: f32,
+    pub(crate) w: f32,
+    pub(crate) offset: Vec3,
 }
 
 impl Bvh {
@@ -114,9 +114,9 @@ impl Bvh {
         let code = LEAF_BIT | (self.leaves.len() * 8 + items.len()) as u32;
         let (mut lo, mut hi) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
         for &(_, id) in items {
-            let [a, b, c] = mesh.corners(id as usize);
-            (lo, hi) = (lo.min(a).min(b).min(c), hi.max(a).max(b).max(c));
-            self.leaves.push(Triangle { a, ab: b - a, ac: c - a, id });
+            let corners = mesh.corners(id as usize);
+            (lo, hi) = corners.iter().fold((lo, hi), |(lo, hi), &p| (lo.min(p), hi.max(p)));
+            self.leaves.push(Triangle::new(corners, id));
         }
         (code, lo, hi)
     }
@@ -191,10 +191,14 @@ impl Node {
 }
 
 impl Triangle {
+    pub(crate) fn new([a, b, c]: [Vec3; 3], id: u32) -> Self {
+        Self { a, ab: b - a, ac: c - a, id }
+    }
+
     /// Closest point by Voronoi regions (Ericson, Real-Time Collision Detection 2005, section 5.1.5), relative to
     /// `p` so that precision does not suffer from the distance to the origin. Degenerate triangles act as segments.
     #[inline]
-    fn closest(&self, p: Vec3) -> Closest {
+    pub(crate) fn closest(&self, p: Vec3) -> Closest {
         let (ab, ac) = (self.ab, self.ac);
         let a = self.a - p;
         let at = |v: f32, w: f32| Closest { v, w, offset: a + ab * v + ac * w };
@@ -249,10 +253,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn brute_force(mesh: &TriMesh, p: Vec3) -> f32 {
-        let closest = |t: usize| {
-            let [a, b, c] = mesh.corners(t);
-            Triangle { a, ab: b - a, ac: c - a, id: 0 }.closest(p).offset.length()
-        };
+        let closest = |t: usize| Triangle::new(mesh.corners(t), 0).closest(p).offset.length();
         (0..mesh.triangles.len()).map(closest).fold(f32::INFINITY, f32::min)
     }
 
