@@ -5,7 +5,9 @@ use crate::files::picture::{PictureFormat, picture_bytes};
 use crate::files::{FileError, ScanFolder, ScanSpool};
 use crate::replay::{Replay, ReplayError, ReplayStamp};
 use gv3_codec::Scan;
-use gv3_codec::metrics::{Comparisons, Distortion, ErrorHistogram, ScanComparison, SurfaceErrors, TextureError, compare};
+use gv3_codec::metrics::{
+    Comparisons, Distortion, ErrorHistogram, ScanComparison, SurfaceErrors, TextureError, compare,
+};
 use gv3_protocol::session::key;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -233,10 +235,7 @@ pub fn measure<T: Send>(
 }
 
 /// Index in the reference and stamp in the session of the scans that both hold.
-fn shared_scans(
-    stamps: &[ReplayStamp],
-    reference: &dyn Reference,
-) -> Result<Vec<(usize, ReplayStamp)>, MeasureError> {
+fn shared_scans(stamps: &[ReplayStamp], reference: &dyn Reference) -> Result<Vec<(usize, ReplayStamp)>, MeasureError> {
     let pairs: Vec<_> = (0..reference.count())
         .filter_map(|i| {
             let at = stamps.binary_search_by_key(&reference.tick(i), |s| s.tick).ok()?;
@@ -244,7 +243,9 @@ fn shared_scans(
         })
         .collect();
     if pairs.is_empty() {
-        return Err(MeasureError::Mismatch("session and input share no tick; is this the input it was made from?".into()));
+        return Err(MeasureError::Mismatch(
+            "session and input share no tick; is this the input it was made from?".into(),
+        ));
     }
     Ok(pairs)
 }
@@ -252,9 +253,10 @@ fn shared_scans(
 /// What a scan takes as OBJ and BMP files, by writing them to memory.
 pub fn obj_bmp_bytes(scan: &Scan) -> u64 {
     let material = scan.texture.as_ref().map(|_| Material { library: "frame_0000.mtl", picture: "frame_0000.bmp" });
-    let picture = scan.texture.as_ref().map_or(0, |t| {
-        picture_bytes(t, PictureFormat::Bmp, Path::new("frame_0000.bmp")).map_or(0, |b| b.len())
-    });
+    let picture = scan
+        .texture
+        .as_ref()
+        .map_or(0, |t| picture_bytes(t, PictureFormat::Bmp, Path::new("frame_0000.bmp")).map_or(0, |b| b.len()));
     (obj_bytes(&scan.mesh, material).len() + picture) as u64
 }
 

@@ -148,13 +148,13 @@ fn group_stamps(
     group: usize,
 ) -> Result<Vec<ReplayStamp>, ReplayError> {
     let stored = reader.read_group(group)?;
-    let stamps = decode_stamps(header, &stored.geometry)
-        .map_err(|source| ReplayError::Payload { path: path.into(), group, source })?;
+    let stamps = decode_stamps(header, &stored.geometry).map_err(|source| ReplayError::Payload {
+        path: path.into(),
+        group,
+        source,
+    })?;
     let key = stored.entry.key_tick;
-    Ok(stamps
-        .iter()
-        .map(|s| ReplayStamp { tick: s.tick, time_nanos: s.time_nanos, is_key: s.tick == key })
-        .collect())
+    Ok(stamps.iter().map(|s| ReplayStamp { tick: s.tick, time_nanos: s.time_nanos, is_key: s.tick == key }).collect())
 }
 
 /// How a session ends, in words.

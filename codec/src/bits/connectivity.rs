@@ -166,7 +166,8 @@ pub fn decode(letters: &[u8], border_count: usize, vertex_count: usize) -> Resul
     let splits = split_lengths(letters, border_count, vertex_count)?;
     let mut splits = splits.iter().rev();
     let mut loops = Loops::border(border_count as u32);
-    let mut out = DecodedConnectivity { triangles: Vec::with_capacity(letters.len()), parents: border_parents(border_count) };
+    let mut out =
+        DecodedConnectivity { triangles: Vec::with_capacity(letters.len()), parents: border_parents(border_count) };
     let mut lefts = Vec::new();
     let mut gate = 0u32;
     for &letter in letters {
@@ -262,7 +263,6 @@ fn split_lengths(letters: &[u8], border_count: usize, vertex_count: usize) -> Re
     Ok(splits)
 }
 
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
@@ -293,7 +293,8 @@ pub(crate) mod tests {
                 count += 1;
             }
         }
-        let positions_mm = (0..count).map(|v| Vec3::new((v as f32).sin(), (v as f32 * 0.7).cos(), v as f32 * 0.01)).collect();
+        let positions_mm =
+            (0..count).map(|v| Vec3::new((v as f32).sin(), (v as f32 * 0.7).cos(), v as f32 * 0.01)).collect();
         TriMesh { positions_mm, triangles, uv: None }
     }
 

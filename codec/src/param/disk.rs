@@ -278,7 +278,11 @@ mod tests {
                     let i = side * (k - 1) + j;
                     triangles.push([at(outer, 6 * k, o), at(outer, 6 * k, o + 1), at(inner, 6 * (k - 1), i)]);
                     if j + 1 < k {
-                        triangles.push([at(inner, 6 * (k - 1), i), at(outer, 6 * k, o + 1), at(inner, 6 * (k - 1), i + 1)]);
+                        triangles.push([
+                            at(inner, 6 * (k - 1), i),
+                            at(outer, 6 * k, o + 1),
+                            at(inner, 6 * (k - 1), i + 1),
+                        ]);
                     }
                 }
             }
@@ -315,8 +319,10 @@ mod tests {
     #[test]
     fn border_lies_on_the_circle_in_order_and_inside_within() {
         let (z, triangles) = polar_disk(12);
-        let positions_mm =
-            z.iter().map(|z| Vec3::new(80.0 * z.x as f32, 110.0 * z.y as f32, 30.0 * (1.0 - z.length_squared()) as f32)).collect();
+        let positions_mm = z
+            .iter()
+            .map(|z| Vec3::new(80.0 * z.x as f32, 110.0 * z.y as f32, 30.0 * (1.0 - z.length_squared()) as f32))
+            .collect();
         let mesh = TriMesh { positions_mm, triangles, uv: None };
         let map = disk_map(&mesh).unwrap();
         let n = z.len();

@@ -23,9 +23,8 @@ impl IntrinsicMesh {
     pub fn new(mesh: &crate::mesh::TriMesh, twin: &[u32]) -> Self {
         let origin: Vec<u32> = mesh.triangles.iter().flatten().copied().collect();
         let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
-        let length = (0..origin.len() as u32)
-            .map(|h| at(origin[h as usize]).distance(at(origin[next(h) as usize])))
-            .collect();
+        let length =
+            (0..origin.len() as u32).map(|h| at(origin[h as usize]).distance(at(origin[next(h) as usize]))).collect();
         Self { origin, twin: twin.to_vec(), length, vertex_count: mesh.vertex_count() }
     }
 
@@ -63,8 +62,9 @@ impl IntrinsicMesh {
 
     /// Flips edges until every interior edge is Delaunay; returns the number of flips.
     pub fn make_delaunay(&mut self) -> usize {
-        let mut stack: Vec<u32> =
-            (0..self.twin.len() as u32).filter(|&h| self.twin[h as usize] != NONE && h < self.twin[h as usize]).collect();
+        let mut stack: Vec<u32> = (0..self.twin.len() as u32)
+            .filter(|&h| self.twin[h as usize] != NONE && h < self.twin[h as usize])
+            .collect();
         // The flip algorithm ends on exact numbers; the bound only guards against rounding cycles.
         let most = 64 * self.origin.len() + 64;
         let mut flips = 0;

@@ -80,7 +80,8 @@ fn nearest_pairs(earlier: &Flattened, later: &Flattened) -> Vec<(DVec2, DVec2)> 
     let cell = (hi - lo).truncate() / SIDE as f32;
     let nearest = |f: &Flattened, at: glam::Vec2| {
         let distance = |p: &glam::Vec3| p.truncate().distance_squared(at);
-        let best = f.group.mesh.positions_mm.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)))?;
+        let best =
+            f.group.mesh.positions_mm.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)))?;
         (distance(best.1) < cell.length_squared() / 64.0).then(|| f.disk.points[best.0])
     };
     (0..SIDE * SIDE)

@@ -5,6 +5,8 @@ use super::flattened::{Flattened, Neighbours};
 use crate::mesh::HalfEdges;
 use crate::motion::PixelMap;
 use crate::motion::spline::NaturalSpline;
+use crate::param::locate::Place;
+use crate::param::matching::DiskMatch;
 use crate::{GreyPicture, Result, Scan};
 use glam::{DVec2, Vec2, Vec3};
 
@@ -24,9 +26,8 @@ pub struct Interval {
     spline: NaturalSpline,
     /// Positions of the mesh's vertices at every knot, mm.
     paths_mm: Vec<Vec<Vec3>>,
-    /// Texture of the next keyframe brought into this one's picture, with the times of both.
-    next_texture: Option<(GreyPicture, [f64; 2])>,
-    origin_nanos: u64,
+    /// Texture of the next keyframe brought into this one's picture, and how much later it was taken, seconds.
+    next_texture: Option<(GreyPicture, f64)>,
 }
 
 /// The mesh of the interval as it lies on some keyframe: positions, texture pixels, and what has no counterpart there.
@@ -50,45 +51,30 @@ impl Interval {
         let edges = HalfEdges::build(base.group.mesh.vertex_count(), &base.group.mesh.triangles)?;
         let start = Carried::start(base);
         let mut paths_mm = vec![start.positions_mm.clone(); window.keyframes.len()];
-        let mut next_px = None;
-        let mut here = None;
-        for k in window.at + 1..window.keyframes.len() {
-            let from = here.as_ref().unwrap_or(&start);
-            let there = from.carry(&window.matches[k - 1].forward, window.keyframes[k], &edges);
-            paths_mm[k].clone_from(&there.positions_mm);
-            if k == window.at + 1 {
-                next_px = Some(there.texture_px.clone());
-            }
-            here = Some(there);
-        }
-        here = None;
-        for k in (0..window.at).rev() {
-            let from = here.as_ref().unwrap_or(&start);
-            let there = from.carry(&window.matches[k].backward, window.keyframes[k], &edges);
-            paths_mm[k].clone_from(&there.positions_mm);
-            here = Some(there);
-        }
-        let origin_nanos = base.group.key().time_nanos;
-        let seconds = |f: &Flattened| seconds_since(origin_nanos, f.group.key().time_nanos);
+        let forward = (window.at + 1..window.keyframes.len()).map(|k| (k, &window.matches[k - 1].forward));
+        let next_px = carry_along(window, &start, forward, &edges, &mut paths_mm);
+        let backward = (0..window.at).rev().map(|k| (k, &window.matches[k].backward));
+        carry_along(window, &start, backward, &edges, &mut paths_mm);
+        let stamp = base.group.key();
+        let seconds = |f: &Flattened| seconds_since(stamp.time_nanos, f.group.key().time_nanos);
         let knots: Vec<f64> = window.keyframes.iter().map(|f| seconds(f)).collect();
         let next = window.keyframes.get(window.at + 1).zip(next_px);
         let next_texture = match next.and_then(|(f, px)| Some((f, f.texture.as_ref()?, px))) {
-            Some((f, texture, px)) => warp_texture(base, texture, &px)?.map(|t| (t, [0.0, seconds(f)])),
+            Some((f, texture, px)) => warp_texture(base, texture, &px)?.map(|t| (t, seconds(f))),
             None => None,
         };
-        let stamp = base.group.key();
         let base = Scan {
             tick: stamp.tick,
             time_nanos: stamp.time_nanos,
             mesh: base.group.mesh.clone(),
             texture: base.texture.clone(),
         };
-        Ok(Self { base, spline: NaturalSpline::new(&knots), paths_mm, next_texture, origin_nanos })
+        Ok(Self { base, spline: NaturalSpline::new(&knots), paths_mm, next_texture })
     }
 
     /// The scan at a time; the tick is the caller's to set.
     pub fn scan_at(&self, time_nanos: u64) -> Scan {
-        let t = seconds_since(self.origin_nanos, time_nanos);
+        let t = seconds_since(self.base.time_nanos, time_nanos);
         let mut scan = Scan { time_nanos, ..self.base.clone() };
         let weights = self.spline.weights(t);
         scan.mesh.positions_mm.fill(Vec3::ZERO);
@@ -97,11 +83,31 @@ impl Interval {
                 *p += x * w as f32;
             }
         }
-        if let (Some(texture), Some((next, [from, to]))) = (&mut scan.texture, &self.next_texture) {
-            blend(texture, next, ((t - from) / (to - from)).clamp(0.0, 1.0));
+        if let (Some(texture), Some((next, later_s))) = (&mut scan.texture, &self.next_texture) {
+            blend(texture, next, (t / later_s).clamp(0.0, 1.0));
         }
         scan
     }
+}
+
+/// Carries the mesh from keyframe to keyframe and notes its positions on each; returns where its vertices lie in the
+/// texture of the first one.
+fn carry_along<'a>(
+    window: &Window<'_>,
+    start: &Carried,
+    steps: impl Iterator<Item = (usize, &'a DiskMatch)>,
+    edges: &HalfEdges,
+    paths_mm: &mut [Vec<Vec3>],
+) -> Option<Vec<Vec2>> {
+    let mut first_px = None;
+    let mut here: Option<Carried> = None;
+    for (k, matching) in steps {
+        let there = here.as_ref().unwrap_or(start).carry(matching, window.keyframes[k], edges);
+        paths_mm[k].clone_from(&there.positions_mm);
+        first_px.get_or_insert_with(|| there.texture_px.clone());
+        here = Some(there);
+    }
+    first_px
 }
 
 fn seconds_since(origin: u64, time: u64) -> f64 {
@@ -112,7 +118,7 @@ fn seconds_since(origin: u64, time: u64) -> f64 {
 fn blend(a: &mut GreyPicture, b: &GreyPicture, share: f64) {
     let w = (share * 256.0).round() as i32;
     for (a, &b) in a.pixels.iter_mut().zip(&b.pixels) {
-        *a = (i32::from(*a) + ((i32::from(b) - i32::from(*a)) * w + 128 >> 8)) as u8;
+        *a = (i32::from(*a) + (((i32::from(b) - i32::from(*a)) * w + 128) >> 8)) as u8;
     }
 }
 
@@ -133,7 +139,7 @@ impl Carried {
 
     /// The mesh on the next keyframe over. A vertex that falls outside its disk has no counterpart there (the border of
     /// a scan is no material line): it keeps the displacement of the nearest vertex that has one.
-    fn carry(&self, matching: &crate::param::matching::DiskMatch, to: &Flattened, edges: &HalfEdges) -> Self {
+    fn carry(&self, matching: &DiskMatch, to: &Flattened, edges: &HalfEdges) -> Self {
         let n = self.disk.len();
         let mesh = &to.group.mesh;
         let to_px: Option<Vec<Vec2>> = match (&to.texture, &mesh.uv) {
@@ -200,7 +206,7 @@ fn warp_texture(base: &Flattened, next: &GreyPicture, px: &[Vec2]) -> Result<Opt
             continue;
         }
         if let Some(point) = map.lift(at) {
-            let place = crate::param::locate::Place { triangle: point.triangle, barycentric: point.barycentric };
+            let place = Place { triangle: point.triangle, barycentric: point.barycentric };
             let source: Vec2 = place.interpolate(&base.group.mesh.triangles, px);
             *level = next.sample(source.to_array()).round() as u8;
         }

@@ -47,10 +47,10 @@ impl LandmarkTrail {
     /// The same frame for the whole run, so that relief pictures of different scans compare.
     fn feature_frame(&mut self, scan: &Scan) -> Result<FeatureFrame> {
         match &self.frame {
-            Some(frame) => Ok(frame.clone()),
+            Some(frame) => Ok(*frame),
             None => {
                 self.tracker = Tracker::new(TrackerOptions::relief());
-                Ok(self.frame.insert(FeatureFrame::about(&scan.mesh)?).clone())
+                Ok(*self.frame.insert(FeatureFrame::about(&scan.mesh)?))
             }
         }
     }

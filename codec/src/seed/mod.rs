@@ -14,4 +14,4 @@ pub use encoder::{EncodedGroup, Encoder, EncoderConfig, Pushed};
 pub use flattened::Flattened;
 pub use group::{Group, LandmarkPair, Stamp, decode as decode_group, decode_stamps};
 pub use interval::Interval;
-pub use player::{KNOT_REACH, Player};
+pub use player::{Fetch, KNOT_REACH, Payloads, Player};

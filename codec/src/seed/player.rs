@@ -9,6 +9,12 @@ use std::collections::BTreeMap;
 /// knot, so those left out change a path by less than 4e-4 of their second difference.
 pub const KNOT_REACH: usize = 6;
 
+/// Gives the payloads of a group by index.
+pub type Fetch<'a, E> = &'a mut dyn FnMut(usize) -> std::result::Result<Payloads, E>;
+
+/// Payloads of a group: geometry, and texture if there is one.
+pub type Payloads = (Vec<u8>, Option<Vec<u8>>);
+
 /// Decoder of one run.
 pub struct Player {
     header: StreamHeader,
@@ -38,7 +44,7 @@ impl Player {
     pub fn scan_at<E: From<CodecError>>(
         &mut self,
         time_nanos: u64,
-        fetch: &mut dyn FnMut(usize) -> std::result::Result<(Vec<u8>, Option<Vec<u8>>), E>,
+        fetch: Fetch<'_, E>,
     ) -> std::result::Result<Scan, E> {
         let last = self.key_times_nanos.len() - 1;
         let time = time_nanos.clamp(self.key_times_nanos[0], self.key_times_nanos[last]);
@@ -58,11 +64,7 @@ impl Player {
     }
 
     /// Decodes what the window around `at` lacks and forgets what lies outside it.
-    fn load_window<E: From<CodecError>>(
-        &mut self,
-        at: usize,
-        fetch: &mut dyn FnMut(usize) -> std::result::Result<(Vec<u8>, Option<Vec<u8>>), E>,
-    ) -> std::result::Result<(), E> {
+    fn load_window<E: From<CodecError>>(&mut self, at: usize, fetch: Fetch<'_, E>) -> std::result::Result<(), E> {
         let range = self.window(at);
         self.keyframes.retain(|k, _| range.contains(k));
         self.matches.retain(|k, _| range.contains(k) && range.contains(&(k + 1)));

@@ -53,7 +53,7 @@ pub fn encode(picture: &GreyPicture, mask: &[bool], quality: u8) -> Result<Vec<u
 fn mask_bounds(mask: &[bool], width: usize) -> Option<[usize; 4]> {
     let mut rows = mask.chunks_exact(width).enumerate().filter(|(_, row)| row.contains(&true)).map(|(y, _)| y);
     let y0 = rows.next()?;
-    let y1 = rows.last().unwrap_or(y0) + 1;
+    let y1 = rows.next_back().unwrap_or(y0) + 1;
     let (mut x0, mut x1) = (width, 0);
     for row in mask.chunks_exact(width) {
         if let Some(first) = row.iter().position(|&m| m) {
@@ -71,8 +71,8 @@ fn smooth_outside(pixels: &mut [u8], inside: &[bool], width: usize) {
     let mut fill = 128u8;
     for by in (0..height).step_by(BLOCK) {
         for bx in (0..width).step_by(BLOCK) {
-            let places = (by..(by + BLOCK).min(height))
-                .flat_map(|y| (bx..(bx + BLOCK).min(width)).map(move |x| y * width + x));
+            let places =
+                (by..(by + BLOCK).min(height)).flat_map(|y| (bx..(bx + BLOCK).min(width)).map(move |x| y * width + x));
             let (mut sum, mut count) = (0u32, 0u32);
             for i in places.clone().filter(|&i| inside[i]) {
                 sum += u32::from(pixels[i]);

@@ -18,7 +18,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 ///
 /// Every complete group is on disk before the next one begins; after a crash `gv3 recover` makes the file whole.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  gv3 capture smile.gv3 --config rig.toml --seconds 10\n  gv3 capture test.gv3 --sim --seconds 2")]
+#[command(
+    after_help = "Examples:\n  gv3 capture smile.gv3 --config rig.toml --seconds 10\n  gv3 capture test.gv3 --sim --seconds 2"
+)]
 pub struct Capture {
     /// Session to write.
     out: PathBuf,
@@ -81,18 +83,14 @@ pub fn record_session(
     let scan_periods = seconds.map(|s| (s * 1e9 / period_nanos as f64).round().max(1.0) as u64);
     let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
     let encoder = EncoderConfig::new(period_nanos);
-    let metadata = SessionMetadata::new(encoder.header.mode.name(), concat!("gv3 ", env!("CARGO_PKG_VERSION")), created)
-        .with_calibration(&rig.calibration.to_toml()?)
-        .with_configuration(&toml::to_string(config)?);
+    let metadata =
+        SessionMetadata::new(encoder.header.mode.name(), concat!("gv3 ", env!("CARGO_PKG_VERSION")), created)
+            .with_calibration(&rig.calibration.to_toml()?)
+            .with_configuration(&toml::to_string(config)?);
     let writer = SessionWriter::create(SessionFile::create(out, overwrite)?, &metadata)?;
     let (stop, progress) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
-    let settings = RecordSettings {
-        scan_periods,
-        encoder,
-        observer,
-        stop: Arc::clone(&stop),
-        progress: Arc::clone(&progress),
-    };
+    let settings =
+        RecordSettings { scan_periods, encoder, observer, stop: Arc::clone(&stop), progress: Arc::clone(&progress) };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let recorded = runtime.block_on(async {
         let bar = bar(scan_periods.unwrap_or(0), "capture");

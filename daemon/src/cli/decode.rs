@@ -13,7 +13,9 @@ use std::path::PathBuf;
 
 /// Write the scans of a session as numbered OBJ+BMP or PLY files: those that were taken, or any frame rate or times.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  gv3 decode smile.gv3 -o smile\n  gv3 decode smile.gv3 -o slow --fps 120 --format ply\n  gv3 decode smile.gv3 -o stills --times 0.5,1.25")]
+#[command(
+    after_help = "Examples:\n  gv3 decode smile.gv3 -o smile\n  gv3 decode smile.gv3 -o slow --fps 120 --format ply\n  gv3 decode smile.gv3 -o stills --times 0.5,1.25"
+)]
 pub struct Decode {
     /// Session to read.
     session: PathBuf,
@@ -104,7 +106,11 @@ impl Decode {
             }
         };
         if times.is_empty() {
-            bail!("--scans: no scan of the session lies in that range; its ticks are {} to {}", stamps[0].tick, stamps[stamps.len() - 1].tick);
+            bail!(
+                "--scans: no scan of the session lies in that range; its ticks are {} to {}",
+                stamps[0].tick,
+                stamps[stamps.len() - 1].tick
+            );
         }
         Ok(times)
     }

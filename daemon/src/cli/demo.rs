@@ -80,7 +80,8 @@ struct TruthReport {
 
 impl Demo {
     pub(super) fn run(self) -> Result<Outcome> {
-        std::fs::create_dir_all(&self.out).with_context(|| format!("{}: cannot create the folder", self.out.display()))?;
+        std::fs::create_dir_all(&self.out)
+            .with_context(|| format!("{}: cannot create the folder", self.out.display()))?;
         let session = self.out.join(SESSION);
         let config = self.rig();
         let begin = Instant::now();
@@ -122,7 +123,11 @@ impl Demo {
         let mut text = describe(&r.measure);
         let truth = &r.truth_mm;
         // Writing to a String cannot fail.
-        let _ = writeln!(text, "  truth      scans rms {:.3} mm, replay rms {:.3} mm", truth.scan_to_truth.rms, truth.replay_to_truth.rms);
+        let _ = writeln!(
+            text,
+            "  truth      scans rms {:.3} mm, replay rms {:.3} mm",
+            truth.scan_to_truth.rms, truth.replay_to_truth.rms
+        );
         let per_set = r.capture.rejected_pixels.total() / r.capture.frame_sets.max(1);
         let _ = writeln!(
             text,
@@ -140,7 +145,11 @@ impl Demo {
             let _ = writeln!(text, "  event      tick {}: {what}", event.tick);
         }
         let memory = r.peak_memory_bytes.map_or(String::new(), |b| format!(", peak memory {:.0} MB", b as f64 * 1e-6));
-        let _ = writeln!(text, "  took       capture {:.1} s, replay and measurement {:.1} s{memory}", r.capture_s, r.measure_s);
+        let _ = writeln!(
+            text,
+            "  took       capture {:.1} s, replay and measurement {:.1} s{memory}",
+            r.capture_s, r.measure_s
+        );
         let _ = write!(text, "look at {0}/{PICTURE} and {0}/{PLOT}; all figures in {0}/{REPORT}", self.out.display());
         text
     }

@@ -155,8 +155,7 @@ impl Job {
             header.position_step_mm
         );
         let producer = concat!("gv3 ", env!("CARGO_PKG_VERSION"));
-        let metadata =
-            SessionMetadata::new(header.mode.name(), producer, created).with_configuration(&settings);
+        let metadata = SessionMetadata::new(header.mode.name(), producer, created).with_configuration(&settings);
         let mut writer = SessionWriter::create(AtomicFile::create(&command.out, command.force)?, &metadata)?;
         writer.write_stream(&header.encode())?;
         let report = EncodeReport { input_bytes: folder.raw_bytes(), ..Default::default() };

@@ -61,9 +61,9 @@ impl Info {
             keyframe_interval: replay.header().keyframe_interval,
             bytes: reader.totals(),
             events,
-            statistics: metadata.statistics().map_or_else(BTreeMap::new, |s| {
-                s.iter().map(|(k, v)| (k.clone(), v.clone())).collect()
-            }),
+            statistics: metadata
+                .statistics()
+                .map_or_else(BTreeMap::new, |s| s.iter().map(|(k, v)| (k.clone(), v.clone())).collect()),
             has_calibration: metadata.calibration().is_some(),
         };
         Outcome::of(self.json, &report, || self.describe(&report))
@@ -75,8 +75,13 @@ impl Info {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "{}: {}", self.session.display(), describe(&r.state));
         let _ = writeln!(text, "  made by      {} (mode {})", r.producer, r.mode);
-        let _ = writeln!(text, "  scans        {} ({} keyframes), ticks {} to {}", r.scans, r.keyframes, r.first_tick, r.last_tick);
-        let _ = writeln!(text, "  length       {:.3} s at {:.3} ms a scan", r.seconds, r.scan_period_nanos as f64 * 1e-6);
+        let _ = writeln!(
+            text,
+            "  scans        {} ({} keyframes), ticks {} to {}",
+            r.scans, r.keyframes, r.first_tick, r.last_tick
+        );
+        let _ =
+            writeln!(text, "  length       {:.3} s at {:.3} ms a scan", r.seconds, r.scan_period_nanos as f64 * 1e-6);
         let _ = writeln!(
             text,
             "  size         {}: geometry {}, textures {}, container {}; {} a scan",
@@ -88,7 +93,13 @@ impl Info {
         );
         let _ = writeln!(text, "  calibration  {}", if r.has_calibration { "stored" } else { "none" });
         for event in &r.events {
-            let _ = writeln!(text, "  event        tick {} at {:.3} s: {:?}", event.tick, event.time_nanos as f64 * 1e-9, event.kind);
+            let _ = writeln!(
+                text,
+                "  event        tick {} at {:.3} s: {:?}",
+                event.tick,
+                event.time_nanos as f64 * 1e-9,
+                event.kind
+            );
         }
         text
     }

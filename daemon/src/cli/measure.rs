@@ -51,7 +51,9 @@ pub fn write_plot(path: &Path, curve: &[ScanFigures], period_nanos: u64) -> Resu
         points: curve.iter().map(|c| (c.time_s, value(c))).collect(),
     };
     let period_s = period_nanos as f64 * 1e-9;
-    let gap = |w: &[ScanFigures]| (w[1].tick > w[0].tick + 1).then(|| (w[0].time_s + 0.5 * period_s, w[1].time_s - 0.5 * period_s));
+    let gap = |w: &[ScanFigures]| {
+        (w[1].tick > w[0].tick + 1).then(|| (w[0].time_s + 0.5 * period_s, w[1].time_s - 0.5 * period_s))
+    };
     let marks = Marks {
         keyframes_s: curve.iter().filter(|c| c.is_key).map(|c| c.time_s).collect(),
         gaps_s: curve.windows(2).filter_map(gap).collect(),
@@ -59,7 +61,7 @@ pub fn write_plot(path: &Path, curve: &[ScanFigures], period_nanos: u64) -> Resu
     let lines = [
         series("scan to replay, rms", |c| c.scan_to_replay_rms_mm),
         series("replay to scan, rms", |c| c.replay_to_scan_rms_mm),
-        series("scan to replay, 95th percentile", |c| c.scan_to_replay_p95_mm),
+        series("scan to replay, p95", |c| c.scan_to_replay_p95_mm),
     ];
     let svg = error_over_time(&lines, &marks, "Error of the replay over time", "mm").map_err(|e| anyhow!(e))?;
     std::fs::write(path, svg).with_context(|| format!("{}: cannot write the plot", path.display()))
@@ -84,17 +86,28 @@ pub fn describe(r: &MeasureReport) -> String {
         ("fringe pictures", r.raw_bytes.fringe.zip(r.percent_of_raw.fringe)),
     ];
     for (name, (bytes, percent)) in raw.into_iter().filter_map(|(n, v)| Some((n, v?))) {
-        let _ = writeln!(text, "             {percent:.3} % of {} as {name} (1 : {:.0})", human_bytes(bytes), 100.0 / percent);
+        let _ = writeln!(
+            text,
+            "             {percent:.3} % of {} as {name} (1 : {:.0})",
+            human_bytes(bytes),
+            100.0 / percent
+        );
     }
     let mut line = |name: &str, e: &Errors| {
-        let _ = writeln!(text, "  {name:<32} rms {:.3}  p95 {:.3}  p99 {:.3}  max {:.2} mm", e.rms, e.p95, e.p99, e.max);
+        let _ =
+            writeln!(text, "  {name:<32} rms {:.3}  p95 {:.3}  p99 {:.3}  max {:.2} mm", e.rms, e.p95, e.p99, e.max);
     };
     let (there, back) = (&r.surface_mm.scan_to_replay, &r.surface_mm.replay_to_scan);
     line("scan to replay, keyframes", &there.keyframes);
     line("scan to replay, in between", &there.in_between);
     line("replay to scan, keyframes", &back.keyframes);
     line("replay to scan, in between", &back.in_between);
-    let _ = writeln!(text, "  coverage   {:.3} % missing, {:.3} % invented", 100.0 * r.coverage.missing, 100.0 * r.coverage.invented);
+    let _ = writeln!(
+        text,
+        "  coverage   {:.3} % missing, {:.3} % invented",
+        100.0 * r.coverage.missing,
+        100.0 * r.coverage.invented
+    );
     if let (Some(all), Some(keys)) = (r.texture_psnr_db, r.texture_psnr_keyframes_db) {
         let _ = writeln!(text, "  texture    {all:.1} dB, keyframes {keys:.1} dB");
     }

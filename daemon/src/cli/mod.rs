@@ -20,7 +20,12 @@ use tracing_subscriber::EnvFilter;
 
 /// Capture, code, replay and measure scans of structured-light 3D scanners.
 #[derive(Debug, Parser)]
-#[command(name = "gv3", version, arg_required_else_help = true, after_help = "Begin with `gv3 demo`: it needs no hardware.")]
+#[command(
+    name = "gv3",
+    version,
+    arg_required_else_help = true,
+    after_help = "Begin with `gv3 demo`: it needs no hardware."
+)]
 struct Arguments {
     /// More messages on standard error; RUST_LOG overrides it.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]

@@ -10,7 +10,9 @@ use std::path::PathBuf;
 
 /// Make a clean session of every complete group of an unfinished or damaged one.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  gv3 recover killed.gv3 -o whole.gv3\n  gv3 recover killed.gv3            (in place)")]
+#[command(
+    after_help = "Examples:\n  gv3 recover killed.gv3 -o whole.gv3\n  gv3 recover killed.gv3            (in place)"
+)]
 pub struct Recover {
     /// Session to read.
     session: PathBuf,

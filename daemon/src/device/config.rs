@@ -193,6 +193,12 @@ mod tests {
     }
 
     #[test]
+    fn the_example_rig_is_the_built_in_one() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/simulated.toml");
+        assert_eq!(RigConfig::read(&path).unwrap(), RigConfig::simulated());
+    }
+
+    #[test]
     fn a_calibration_file_is_found_beside_the_rig() {
         let folder = tempfile::tempdir().unwrap();
         let mut config = RigConfig::simulated();

@@ -159,7 +159,7 @@ mod tests {
             mesh: TriMesh {
                 positions_mm: (0..4 + k).map(|i| Vec3::new(i as f32 * 0.1, k as f32, -0.0)).collect(),
                 triangles: vec![[0, 1, 2], [2, 1, 3 + k]],
-                uv: (k % 2 == 0).then(|| vec![[0.25, 0.5]; 4 + k as usize]),
+                uv: k.is_multiple_of(2).then(|| vec![[0.25, 0.5]; 4 + k as usize]),
             },
             texture: (k > 0).then(|| GreyPicture::filled(3, 2, k as u8)),
         };

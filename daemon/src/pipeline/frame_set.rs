@@ -79,6 +79,7 @@ pub struct FrameSetAssembler {
     current: Option<OpenSet>,
     strays_in_a_row: usize,
     drops: DropCounts,
+    last_dropped_tick: Option<u64>,
 }
 
 impl FrameSetAssembler {
@@ -91,7 +92,13 @@ impl FrameSetAssembler {
             current: None,
             strays_in_a_row: 0,
             drops: DropCounts::default(),
+            last_dropped_tick: None,
         }
+    }
+
+    /// Tick of the set dropped last.
+    pub fn last_dropped_tick(&self) -> Option<u64> {
+        self.last_dropped_tick
     }
 
     /// What was dropped so far.
@@ -149,12 +156,16 @@ impl FrameSetAssembler {
         // Sets of which nothing at all arrived.
         self.drops.lost = self.drops.lost.saturating_add(sets - 1);
         let tick = self.current.as_ref().map_or(0, |set| set.tick).saturating_add(sets);
+        if sets > 1 {
+            self.last_dropped_tick = Some(tick - 1);
+        }
         self.current = Some(OpenSet { tick, start_nanos, frames: Vec::new(), fault: None, is_closed: false });
     }
 
     fn close_current(&mut self) {
         if let Some(set) = self.current.as_mut().filter(|set| !set.is_closed) {
             self.drops.count(set.fault.unwrap_or(Cause::Lost));
+            self.last_dropped_tick = Some(set.tick);
             set.is_closed = true;
         }
     }
@@ -250,6 +261,9 @@ mod tests {
     fn each_fault_drops_one_set_under_its_name_and_leaves_a_gap() {
         let lost = run((0..30).filter(|&k| k != 14).map(frame));
         assert_eq!((ticks(&lost.0), lost.1), (vec![0, 1, 3, 4], DropCounts { lost: 1, ..DropCounts::default() }));
+        let mut assembler = assembler();
+        (0..30).filter(|&k| k != 14).for_each(|k| drop(assembler.push(frame(k))));
+        assert_eq!(assembler.last_dropped_tick(), Some(2));
         let doubled = run((0..30).flat_map(|k| vec![frame(k); if k == 14 { 2 } else { 1 }]));
         assert_eq!((ticks(&doubled.0), doubled.1.doubled, doubled.1.sets()), (vec![0, 1, 3, 4], 1, 1));
         for first_or_later in [12, 14, 17] {

@@ -116,7 +116,8 @@ pub async fn record(
     let reconstruct = stage("reconstruct", move || stopping(&stop, || run_reconstruct(reconstructor, sets, &scan_out)));
     let stop = Arc::clone(&settings.stop);
     let RecordSettings { observer, progress, .. } = settings;
-    let encode = stage("encode", move || stopping(&stop, || run_encode(encoder, observer, &progress, scans, &group_out)));
+    let encode =
+        stage("encode", move || stopping(&stop, || run_encode(encoder, observer, &progress, scans, &group_out)));
     let write = stage("write", move || run_write(writer, groups));
     let (captured, rebuilt, encoded, written) = tokio::join!(capture, reconstruct, encode, write);
     // The last stage's error is the cause of those before it: a full disk closes the queues upstream.
@@ -124,7 +125,12 @@ pub async fn record(
     let (encoded, rebuilt, drops) = (encoded?, rebuilt?, captured?);
     let recorded = summarize(&drops, &rebuilt, &encoded);
     writer.finish(&statistics(&recorded))?;
-    info!(scans = recorded.scans, keyframes = recorded.keyframes, dropped = recorded.drops.sets(), "recording finished");
+    info!(
+        scans = recorded.scans,
+        keyframes = recorded.keyframes,
+        dropped = recorded.drops.sets(),
+        "recording finished"
+    );
     Ok(recorded)
 }
 
@@ -202,7 +208,7 @@ fn collect(
         frame_bytes += frame.picture.pixels.len() as u64;
         let before = assembler.drops();
         let set = assembler.push(frame);
-        let tick = elapsed / set_nanos;
+        let tick = assembler.last_dropped_tick().unwrap_or(elapsed / set_nanos);
         for event in drop_events(&before, &assembler.drops(), time_nanos, tick) {
             send(out, Item::Event(event))?;
         }
@@ -307,7 +313,8 @@ fn run_encode(
         let pushed = encoder.push(scan);
         encoded.time += begin.elapsed();
         progress.fetch_add(1, Ordering::Relaxed);
-        let note = |message: String| Event { time_nanos, tick, kind: EventKind::Fault { source: "encode".into(), message } };
+        let note =
+            |message: String| Event { time_nanos, tick, kind: EventKind::Fault { source: "encode".into(), message } };
         match pushed {
             Ok(pushed) => {
                 if let Some(error) = pushed.not_key {

@@ -106,7 +106,7 @@ fn draw_head<'a>(root: &Area<'a>, title: &str, series: &[Series], marks: &Marks)
         let style = ("sans-serif", 16).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
         let left_px = x;
         // Letters are about half as wide as high; a viewer's font may differ, so there is room between the names.
-        x += 32 + name.chars().count() as i32 * 9 + 26;
+        x += 32 + name.chars().count() as i32 * 8 + 26;
         root.draw(&Text::new(name.to_owned(), (left_px + 32, y), style)).map(|()| left_px)
     };
     for (one, colour) in series.iter().zip(COLOURS.iter().cycle()) {
