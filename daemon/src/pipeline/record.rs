@@ -120,18 +120,22 @@ pub async fn record(
         stage("encode", move || stopping(&stop, || run_encode(encoder, observer, &progress, scans, &group_out)));
     let write = stage("write", move || run_write(writer, groups));
     let (captured, rebuilt, encoded, written) = tokio::join!(capture, reconstruct, encode, write);
-    // The last stage's error is the cause of those before it: a full disk closes the queues upstream.
+    // A later stage's error is the cause of those before it: a full disk closes the queues upstream.
     let writer = written?;
-    let (encoded, rebuilt, drops) = (encoded?, rebuilt?, captured?);
-    let recorded = summarize(&drops, &rebuilt, &encoded);
-    writer.finish(&statistics(&recorded))?;
-    info!(
-        scans = recorded.scans,
-        keyframes = recorded.keyframes,
-        dropped = recorded.drops.sets(),
-        "recording finished"
-    );
-    Ok(recorded)
+    match (encoded, rebuilt, captured) {
+        (Ok(encoded), Ok(rebuilt), Ok(drops)) => {
+            let recorded = summarize(&drops, &rebuilt, &encoded);
+            writer.finish(&statistics(&recorded))?;
+            let dropped = recorded.drops.sets();
+            info!(scans = recorded.scans, keyframes = recorded.keyframes, dropped, "recording finished");
+            Ok(recorded)
+        }
+        (encoded, rebuilt, captured) => {
+            let cause = encoded.err().or(rebuilt.err()).or(captured.err()).unwrap_or(RecordError::Stage("record"));
+            writer.finish(&MetadataGroup::new().with("ended_early", &cause))?;
+            Err(cause)
+        }
+    }
 }
 
 /// Runs a blocking stage in a thread of its own name.

@@ -1,0 +1,85 @@
+//! Mesh and disk-map stages on a generated scan of about 120,000 vertices with holes and a staircase border.
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use glam::Vec3;
+use gv3_codec::{
+    GreyPicture, Scan,
+    mesh::{
+        Bvh, HalfEdges, TriMesh,
+        repair::{RepairOptions, to_disk},
+        simplify::{SimplifyOptions, simplify},
+    },
+    param::disk::disk_map,
+};
+use std::hint::black_box;
+
+const SIDE: u32 = 350;
+const PITCH_MM: f32 = 0.46;
+
+/// Deterministic noise in -1..1 from a pixel (integer hash).
+fn noise(x: u32, y: u32) -> f32 {
+    let mut h = (x.wrapping_mul(0x9E37_79B1)) ^ y.wrapping_mul(0x85EB_CA77);
+    h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
+    (h ^ (h >> 12)) as f32 / u32::MAX as f32 * 2.0 - 1.0
+}
+
+/// A dome with a nose, wrinkles and camera noise, seen on a square grid; `holes` cuts two eyes and a mouth.
+fn face(holes: bool) -> Scan {
+    let centred = |i: u32| (i as f32 - SIDE as f32 / 2.0) * PITCH_MM;
+    let seen = |x: u32, y: u32| {
+        let (px, py) = (centred(x), centred(y));
+        let eye = (px.abs() - 30.0).hypot((py - 15.0) * 2.0) < 10.0;
+        let mouth = (px * 0.3).hypot(py + 40.0) < 4.0;
+        px.hypot(py) < 79.0 && !(holes && (eye || mouth))
+    };
+    let position = |x: u32, y: u32| {
+        let (px, py) = (centred(x), centred(y));
+        let nose = 25.0 * (-(px * px + py * py) / 200.0).exp();
+        let dome = (100f32 * 100.0 - px * px - py * py).max(0.0).sqrt();
+        Vec3::new(px, py, dome + nose + 0.3 * (px * 0.8).sin() * (py * 0.7).cos() + 0.05 * noise(x, y))
+    };
+    let pixels = (0..SIDE * SIDE).map(|i| (i % SIDE, i / SIDE));
+    let picture =
+        GreyPicture::new(SIDE, SIDE, pixels.clone().map(|(x, y)| (128.0 + 60.0 * noise(x / 8, y / 8)) as u8).collect());
+    let mut triangles = Vec::new();
+    for (x, y) in pixels.clone().filter(|&(x, y)| x + 1 < SIDE && y + 1 < SIDE) {
+        let a = y * SIDE + x;
+        if [(0, 0), (1, 0), (0, 1), (1, 1)].iter().all(|(dx, dy)| seen(x + dx, y + dy)) {
+            triangles.extend([[a, a + 1, a + SIDE + 1], [a, a + SIDE + 1, a + SIDE]]);
+        }
+    }
+    let whole = TriMesh {
+        positions_mm: pixels.clone().map(|(x, y)| position(x, y)).collect(),
+        triangles,
+        uv: Some(pixels.map(|(x, y)| picture.px_to_uv([x as f32, y as f32])).collect()),
+    };
+    Scan { mesh: whole.submesh(|_| true).0, texture: Some(picture), ..Default::default() }
+}
+
+fn bench(c: &mut Criterion) {
+    let scan = face(false);
+    let holed = face(true);
+    let (disk, _) = to_disk(&scan.mesh, &RepairOptions::default()).expect("the generated scan can be repaired");
+    let (small, _) = simplify(&disk, 20_000, &SimplifyOptions::default()).expect("it is a disk");
+    let replay = Scan { mesh: small, ..scan.clone() };
+    let bvh = Bvh::new(&scan.mesh);
+    let mut group = c.benchmark_group(format!("mesh of {} vertices", scan.mesh.vertex_count()));
+    group.sample_size(10);
+    group.bench_function("half_edges", |b| {
+        b.iter(|| HalfEdges::build(scan.mesh.vertex_count(), black_box(&scan.mesh.triangles)));
+    });
+    group.bench_function("bvh build", |b| b.iter(|| Bvh::new(black_box(&scan.mesh))));
+    group.bench_function("bvh 20,000 nearest", |b| {
+        b.iter(|| replay.mesh.positions_mm.iter().filter_map(|&p| bvh.nearest(p, 10.0)).count());
+    });
+    group.bench_function("to_disk", |b| b.iter(|| to_disk(black_box(&holed.mesh), &RepairOptions::default())));
+    group.bench_function("simplify to 20,000", |b| {
+        b.iter(|| simplify(black_box(&disk), 20_000, &SimplifyOptions::default()));
+    });
+    group.bench_function("disk map of 20,000", |b| b.iter(|| disk_map(black_box(&replay.mesh))));
+    group.bench_function("disk map of all", |b| b.iter(|| disk_map(black_box(&disk))));
+    group.finish();
+}
+
+criterion_group!(benches, bench);
+criterion_main!(benches);
