@@ -127,8 +127,7 @@ mod tests {
 
     #[test]
     fn solves_a_chain_and_adds_duplicate_entries() {
-        let entries: Vec<_> =
-            (0..9u32).flat_map(|i| [(i, i + 1, -0.5), (i + 1, i, -0.5)]).collect();
+        let entries: Vec<_> = (0..9u32).flat_map(|i| [(i, i + 1, -0.5), (i + 1, i, -0.5)]).collect();
         let a = LowerCsc::assemble(&[2.0; 10], &entries);
         let llt = SparseLlt::factorize(&a).unwrap();
         let x: Vec<f64> = (0..10).map(|i| f64::from(i) - 3.0).collect();

@@ -48,10 +48,16 @@ impl StreamHeader {
             return Err(CodecError::Stream("keyframe interval is 0; 1 to 255 scans are allowed".into()));
         }
         if !(1..=MAX_PERIOD_NANOS).contains(&self.scan_period_nanos) {
-            return Err(CodecError::Stream(format!("scan period is {} ns; 1 to 10^12 are allowed", self.scan_period_nanos)));
+            return Err(CodecError::Stream(format!(
+                "scan period is {} ns; 1 to 10^12 are allowed",
+                self.scan_period_nanos
+            )));
         }
         if !(1.0 / 1_048_576.0..=1024.0).contains(&self.position_step_mm) {
-            return Err(CodecError::Stream(format!("position step is {} mm; 2^-20 to 1024 are allowed", self.position_step_mm)));
+            return Err(CodecError::Stream(format!(
+                "position step is {} mm; 2^-20 to 1024 are allowed",
+                self.position_step_mm
+            )));
         }
         Ok(())
     }
@@ -100,8 +106,12 @@ impl StreamHeader {
 mod tests {
     use super::*;
 
-    const HEADER: StreamHeader =
-        StreamHeader { mode: Mode::Seed, keyframe_interval: 10, scan_period_nanos: 33_333_333, position_step_mm: 0.0625 };
+    const HEADER: StreamHeader = StreamHeader {
+        mode: Mode::Seed,
+        keyframe_interval: 10,
+        scan_period_nanos: 33_333_333,
+        position_step_mm: 0.0625,
+    };
 
     #[test]
     fn golden_bytes_and_back() {

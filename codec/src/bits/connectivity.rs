@@ -166,7 +166,8 @@ pub fn decode(letters: &[u8], border_count: usize, vertex_count: usize) -> Resul
     let splits = split_lengths(letters, border_count, vertex_count)?;
     let mut splits = splits.iter().rev();
     let mut loops = Loops::border(border_count as u32);
-    let mut out = DecodedConnectivity { triangles: Vec::with_capacity(letters.len()), parents: border_parents(border_count) };
+    let mut out =
+        DecodedConnectivity { triangles: Vec::with_capacity(letters.len()), parents: border_parents(border_count) };
     let mut lefts = Vec::new();
     let mut gate = 0u32;
     for &letter in letters {
@@ -262,7 +263,6 @@ fn split_lengths(letters: &[u8], border_count: usize, vertex_count: usize) -> Re
     Ok(splits)
 }
 
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
@@ -293,7 +293,8 @@ pub(crate) mod tests {
                 count += 1;
             }
         }
-        let positions_mm = (0..count).map(|v| Vec3::new((v as f32).sin(), (v as f32 * 0.7).cos(), v as f32 * 0.01)).collect();
+        let positions_mm =
+            (0..count).map(|v| Vec3::new((v as f32).sin(), (v as f32 * 0.7).cos(), v as f32 * 0.01)).collect();
         TriMesh { positions_mm, triangles, uv: None }
     }
 
@@ -336,6 +337,42 @@ pub(crate) mod tests {
                 prop_assert_eq!(d.triangles.len(), letters.len());
                 prop_assert!(d.triangles.iter().flatten().all(|&v| (v as usize) < vertices));
             }
+        }
+    }
+
+    /// Letters of a chain of `splits` splits; `deep` cuts the loops in halves, else one triangle a split falls off.
+    fn split_letters(splits: u32, deep: bool) -> Vec<u8> {
+        let mut letters = Vec::new();
+        let mut open = vec![splits];
+        while let Some(n) = open.pop() {
+            if n == 0 {
+                letters.push(E);
+                continue;
+            }
+            letters.push(S);
+            // Pushed left first: the right loop comes first in the letters.
+            open.extend(if deep { [(n - 1) / 2, n - 1 - (n - 1) / 2] } else { [0, n - 1] });
+        }
+        letters
+    }
+
+    /// Edges of the loop that letters close, as the decoder finds them.
+    fn border_of(letters: &[u8]) -> usize {
+        let count = |l: u8| letters.iter().filter(|&&x| x == l).count();
+        2 * count(E) + 1 + count(L) + count(R) - count(C)
+    }
+
+    #[test]
+    fn splits_walk_the_shorter_side() {
+        for deep in [true, false] {
+            let letters = split_letters(100_000, deep);
+            let border = border_of(&letters);
+            let steps: u64 =
+                split_lengths(&letters, border, border).unwrap().iter().map(|&(r, l)| u64::from(r.min(l))).sum();
+            assert!(steps < 200_000 * 18, "{steps} steps");
+            let decoded = decode(&letters, border, border).unwrap();
+            assert_eq!(decoded.triangles.len(), 200_001);
+            assert!(HalfEdges::build(border, &decoded.triangles).unwrap().is_disk());
         }
     }
 

@@ -26,12 +26,8 @@ pub struct EncoderConfig {
 impl EncoderConfig {
     /// The published scheme's settings: a sixth of the vertices, every tenth scan, for scans of one period.
     pub fn new(scan_period_nanos: u64) -> Self {
-        let header = StreamHeader {
-            mode: crate::Mode::Seed,
-            keyframe_interval: 10,
-            scan_period_nanos,
-            position_step_mm: 0.05,
-        };
+        let header =
+            StreamHeader { mode: crate::Mode::Seed, keyframe_interval: 10, scan_period_nanos, position_step_mm: 0.05 };
         Self { header, vertex_ratio: 6, texture_quality: 85, repair: RepairOptions::default() }
     }
 }
