@@ -405,3 +405,17 @@ fn every_prefix_and_one_byte_more_fail_and_no_flip_panics() {
         }
     }
 }
+
+#[test]
+fn the_page_shows_the_vectors() {
+    let page = std::fs::read_to_string(folder("FORMAT.md")).unwrap();
+    for name in ["stream_header-example", "group-coded-uv"] {
+        let vector = std::fs::read_to_string(folder("vectors/valid").join(format!("{name}.hex"))).unwrap();
+        assert!(page.contains(&vector), "{name} is not on the page as it is");
+    }
+    let at = page.find("02\n409f3f").expect("the byte planes of the positions");
+    let example = page[at..].split("```").next().unwrap();
+    let digits: String = example.lines().flat_map(|l| l.split('#').next().unwrap_or("").split_whitespace()).collect();
+    let shown: String = planes(&POSITIONS).iter().map(|b| format!("{b:02x}")).collect();
+    assert_eq!(digits, shown);
+}
