@@ -115,10 +115,10 @@ impl<'a> ByteReader<'a> {
         if v.is_finite() { Ok(v) } else { Err(self.error("a number that is not finite")) }
     }
 
-    /// LEB128 integer of at most 64 bits.
+    /// LEB128 integer of at most 64 bits, in its shortest form.
     ///
     /// # Errors
-    /// At the end of the section, or for more than ten bytes or 64 bits.
+    /// At the end of the section, for more than ten bytes or 64 bits, or when a shorter form exists.
     pub fn varint(&mut self) -> Result<u64> {
         let mut value = 0u64;
         for shift in (0..70).step_by(7) {
@@ -128,6 +128,9 @@ impl<'a> ByteReader<'a> {
                 break;
             }
             value |= part << shift;
+            if byte == 0 && shift > 0 {
+                return Err(self.error("a variable-length integer longer than it need be"));
+            }
             if byte & 0x80 == 0 {
                 return Ok(value);
             }
@@ -175,6 +178,21 @@ mod tests {
             prop_assert_eq!(unzigzag(zigzag(v)), v);
             prop_assert_eq!(unzigzag64(zigzag64(w)), w);
         }
+    }
+
+    #[test]
+    fn an_integer_has_one_form() {
+        for (bytes, value) in [(&[0x00][..], 0), (&[0x7f], 127), (&[0x80, 0x01], 128), (&[0xac, 0x02], 300)] {
+            assert_eq!(ByteReader::new(bytes, "x").varint().unwrap(), value);
+        }
+        for bytes in [&[0x80, 0x00][..], &[0xff, 0x80, 0x00]] {
+            assert!(ByteReader::new(bytes, "x").varint().unwrap_err().to_string().contains("longer than it need be"));
+        }
+        let mut most = vec![0xff; 9];
+        most.push(1);
+        assert_eq!(ByteReader::new(&most, "x").varint().unwrap(), u64::MAX);
+        most[9] = 2;
+        assert!(ByteReader::new(&most, "x").varint().unwrap_err().to_string().contains("64 bits"));
     }
 
     #[test]

@@ -340,6 +340,42 @@ pub(crate) mod tests {
         }
     }
 
+    /// Letters of a chain of `splits` splits; `deep` cuts the loops in halves, else one triangle a split falls off.
+    fn split_letters(splits: u32, deep: bool) -> Vec<u8> {
+        let mut letters = Vec::new();
+        let mut open = vec![splits];
+        while let Some(n) = open.pop() {
+            if n == 0 {
+                letters.push(E);
+                continue;
+            }
+            letters.push(S);
+            // Pushed left first: the right loop comes first in the letters.
+            open.extend(if deep { [(n - 1) / 2, n - 1 - (n - 1) / 2] } else { [0, n - 1] });
+        }
+        letters
+    }
+
+    /// Edges of the loop that letters close, as the decoder finds them.
+    fn border_of(letters: &[u8]) -> usize {
+        let count = |l: u8| letters.iter().filter(|&&x| x == l).count();
+        2 * count(E) + 1 + count(L) + count(R) - count(C)
+    }
+
+    #[test]
+    fn splits_walk_the_shorter_side() {
+        for deep in [true, false] {
+            let letters = split_letters(100_000, deep);
+            let border = border_of(&letters);
+            let steps: u64 =
+                split_lengths(&letters, border, border).unwrap().iter().map(|&(r, l)| u64::from(r.min(l))).sum();
+            assert!(steps < 200_000 * 18, "{steps} steps");
+            let decoded = decode(&letters, border, border).unwrap();
+            assert_eq!(decoded.triangles.len(), 200_001);
+            assert!(HalfEdges::build(border, &decoded.triangles).unwrap().is_disk());
+        }
+    }
+
     #[test]
     fn golden_letters() {
         // A hexagon around one vertex: C opens the middle, R closes round to the last triangle.

@@ -31,11 +31,12 @@ pub struct DiskMap {
 /// Maps a disk to the unit disk; rotated so that +y of the scan frame points up.
 ///
 /// # Errors
-/// [`CodecError::Mesh`] when `mesh` is not a disk or too degenerate for its Laplacian to factorize.
+/// [`CodecError::Mesh`] when `mesh` is not a disk, lies in one point, or is too degenerate for its Laplacian to factorize.
 pub fn disk_map(mesh: &TriMesh) -> Result<DiskMap> {
     let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
     let border = single_border(mesh, &half_edges)?;
     let mut intrinsic = IntrinsicMesh::new(mesh, &half_edges.twin);
+    intrinsic.mollify()?;
     intrinsic.make_delaunay();
     separate_border(&mut intrinsic, &border, mesh.vertex_count());
     let system = InteriorLaplacian::new(&intrinsic, &border)?;
@@ -48,6 +49,9 @@ pub fn disk_map(mesh: &TriMesh) -> Result<DiskMap> {
         *z = to_centre.apply(*z);
     }
     turn_upright(mesh, &mut points);
+    if !points.iter().all(|z| z.is_finite()) {
+        return Err(CodecError::Mesh("too degenerate to be laid on a disk".into()));
+    }
     let flips = mesh.triangles.iter().filter(|t| signed_area(&points, **t) <= 0.0).count();
     Ok(DiskMap { points, centre, flips })
 }
@@ -60,11 +64,12 @@ pub fn signed_area(points: &[DVec2], t: [u32; 3]) -> f64 {
 
 fn single_border(mesh: &TriMesh, half_edges: &HalfEdges) -> Result<Vec<u32>> {
     let mut loops = half_edges.boundary_loops();
-    if loops.len() != 1 || half_edges.euler_characteristic() != 1 || half_edges.vertex_count() != mesh.vertex_count() {
+    if !half_edges.is_disk() {
         return Err(CodecError::Mesh(format!(
-            "not a disk: {} boundary loops, Euler characteristic {} (1 and 1 wanted)",
+            "not a disk: {} boundary loops, Euler characteristic {}, {} pieces (1 of each wanted)",
             loops.len(),
-            half_edges.euler_characteristic()
+            half_edges.euler_characteristic(),
+            half_edges.triangle_components().1
         )));
     }
     let border = loops.swap_remove(0);
@@ -337,6 +342,50 @@ mod tests {
         // Upright: the rim point at +y stays on top.
         let top = (n - 72..n).max_by(|&a, &b| z[a].y.total_cmp(&z[b].y)).unwrap();
         assert!(map.points[top].y > 0.999);
+    }
+
+    #[test]
+    fn degenerate_surfaces_give_a_finite_map_or_an_error() {
+        let (z, triangles) = polar_disk(6);
+        let map_of = |place: &dyn Fn(usize, DVec2) -> Vec3| {
+            let positions_mm = z.iter().enumerate().map(|(i, &z)| place(i, z)).collect();
+            disk_map(&TriMesh { positions_mm, triangles: triangles.clone(), uv: None })
+        };
+        let flat = |z: DVec2| Vec3::new(z.x as f32, z.y as f32, 0.0) * 100.0;
+        let one_point = map_of(&|_, _| Vec3::splat(7.0)).unwrap_err().to_string();
+        assert!(one_point.contains("one point"), "{one_point}");
+        let far = 2f32.powi(40);
+        let cases: [&dyn Fn(usize, DVec2) -> Vec3; 7] = [
+            &|_, z| Vec3::X * z.x as f32,
+            &|i, z| if i < 40 { Vec3::ZERO } else { flat(z) },
+            &|i, z| if i >= 40 { Vec3::ZERO } else { flat(z) },
+            &|i, _| if i == 17 { Vec3::ONE } else { Vec3::ZERO },
+            &|i, _| if i % 2 == 0 { Vec3::splat(far) } else { Vec3::splat(-far) },
+            &|i, z| flat(z) * if i % 5 == 0 { far } else { 1e-6 },
+            &|i, z| (flat(z) * 0.01).round() * if i % 3 == 0 { 1.0 } else { -1.0 },
+        ];
+        let mut mapped = 0;
+        for (k, place) in cases.iter().enumerate() {
+            if let Ok(map) = map_of(place) {
+                mapped += 1;
+                assert!(map.points.iter().all(|p| p.is_finite() && p.length() < 1.0 + 1e-6), "case {k}");
+            }
+        }
+        assert!(mapped >= 4, "{mapped} of 7 mapped");
+    }
+
+    #[test]
+    fn a_closed_piece_beside_the_disk_is_refused() {
+        let torus = |x: u32, y: u32| 3 + (y % 4) * 4 + x % 4;
+        let mut triangles = vec![[0, 1, 2]];
+        for i in 0..16 {
+            let (x, y) = (i % 4, i / 4);
+            triangles.push([torus(x, y), torus(x + 1, y), torus(x + 1, y + 1)]);
+            triangles.push([torus(x, y), torus(x + 1, y + 1), torus(x, y + 1)]);
+        }
+        let positions_mm = (0..19).map(|v| Vec3::new(v as f32, (v * v % 7) as f32, 0.0)).collect();
+        let error = disk_map(&TriMesh { positions_mm, triangles, uv: None }).unwrap_err().to_string();
+        assert!(error.contains("2 pieces"), "{error}");
     }
 
     #[test]

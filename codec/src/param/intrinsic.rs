@@ -1,9 +1,16 @@
 //! Intrinsic triangulation: edge lengths only, flipped until Delaunay (Fisher, Springborn, Schröder, Bobenko 2007).
 
 use crate::mesh::half_edge::{NONE, next, prev};
+use crate::{CodecError, Result};
 
 /// Cotangent sums below this make an edge flip; not zero, so that cocircular points end the loop.
 const DELAUNAY_SLACK: f64 = -1e-9;
+
+/// Every triangle inequality holds with at least this share of the mean edge to spare after [`IntrinsicMesh::mollify`].
+const MOLLIFIER: f64 = 1e-6;
+
+/// Most flips a half-edge: scans take a fraction of one, rounding cycles and surfaces made to be slow take all.
+const FLIPS_PER_HALF_EDGE: usize = 8;
 
 /// Triangulation known by its edge lengths. Half-edge `h = 3 t + k` leaves corner `k` of triangle `t`.
 #[derive(Debug, Clone)]
@@ -26,6 +33,23 @@ impl IntrinsicMesh {
         let length =
             (0..origin.len() as u32).map(|h| at(origin[h as usize]).distance(at(origin[next(h) as usize]))).collect();
         Self { origin, twin: twin.to_vec(), length, vertex_count: mesh.vertex_count() }
+    }
+
+    /// Makes every edge longer by the same amount, the least that leaves no triangle degenerate (Sharp, Crane 2020, "A
+    /// Laplacian for nonmanifold triangle meshes", section 4.5); nothing where none is.
+    ///
+    /// # Errors
+    /// [`CodecError::Mesh`] when all edges have length zero.
+    pub fn mollify(&mut self) -> Result<()> {
+        let mean = self.length.iter().sum::<f64>() / self.length.len().max(1) as f64;
+        if mean <= 0.0 {
+            return Err(CodecError::Mesh("the whole surface lies in one point".into()));
+        }
+        let spare = |t: &[f64]| t[0] + t[1] + t[2] - 2.0 * t[0].max(t[1]).max(t[2]);
+        let least = self.length.chunks_exact(3).map(spare).fold(f64::INFINITY, f64::min);
+        let longer = (MOLLIFIER * mean - least).max(0.0);
+        self.length.iter_mut().for_each(|l| *l += longer);
+        Ok(())
     }
 
     /// Vertex the half-edge points to.
@@ -65,10 +89,14 @@ impl IntrinsicMesh {
         let mut stack: Vec<u32> = (0..self.twin.len() as u32)
             .filter(|&h| self.twin[h as usize] != NONE && h < self.twin[h as usize])
             .collect();
-        // The flip algorithm ends on exact numbers; the bound only guards against rounding cycles.
-        let most = 64 * self.origin.len() + 64;
+        let mut queued = vec![false; self.twin.len()];
+        for &h in &stack {
+            queued[h as usize] = true;
+        }
+        let most = FLIPS_PER_HALF_EDGE * self.origin.len() + 64;
         let mut flips = 0;
         while let Some(h) = stack.pop() {
+            queued[h as usize] = false;
             let other = self.twin[h as usize];
             if other == NONE || self.cotangent(h) + self.cotangent(other) >= DELAUNAY_SLACK || flips >= most {
                 continue;
@@ -76,7 +104,11 @@ impl IntrinsicMesh {
             if self.flip(h) {
                 flips += 1;
                 let other = self.twin[h as usize];
-                stack.extend([next(h), prev(h), next(other), prev(other)]);
+                for e in [next(h), prev(h), next(other), prev(other)] {
+                    if !std::mem::replace(&mut queued[e as usize], true) {
+                        stack.push(e);
+                    }
+                }
             }
         }
         flips

@@ -23,6 +23,9 @@ impl Place {
     }
 }
 
+/// Most cells a triangle touches on average: scans touch three or four, slivers across the disk a good part of the grid.
+const CELLS_PER_TRIANGLE: usize = 32;
+
 /// Finds the triangle of a disk that holds a point.
 pub struct DiskLocator {
     side: usize,
@@ -31,18 +34,23 @@ pub struct DiskLocator {
 }
 
 impl DiskLocator {
-    /// Sorts the triangles that the map does not turn over into about one cell for every two triangles.
+    /// Sorts the triangles that the map does not turn over into about one cell for every two triangles, into fewer when
+    /// the triangles are so long that they would fill many.
     pub fn new(points: &[DVec2], mesh_triangles: &[[u32; 3]]) -> Self {
-        let side = ((mesh_triangles.len() as f64 / 2.0).sqrt() as usize).clamp(1, 1024);
+        let kept = |t: &[u32; 3]| signed_area(points, *t) > 0.0;
+        let mut side = ((mesh_triangles.len() as f64 / 2.0).sqrt() as usize).clamp(1, 1024);
+        let entries = |side: usize| -> usize {
+            let area = |([x0, y0], [x1, y1]): ([usize; 2], [usize; 2])| (x1 - x0 + 1) * (y1 - y0 + 1);
+            mesh_triangles.iter().filter(|t| kept(t)).map(|t| area(cell_box(points, *t, side))).sum()
+        };
+        while side > 1 && entries(side) > CELLS_PER_TRIANGLE * mesh_triangles.len() {
+            side /= 2;
+        }
         let mut start = vec![0u32; side * side + 1];
         let cells_of = |t: &[u32; 3]| {
-            let corners = t.map(|v| points[v as usize]);
-            let lo = corners[0].min(corners[1]).min(corners[2]);
-            let hi = corners[0].max(corners[1]).max(corners[2]);
-            let (lo, hi) = (cell(lo, side), cell(hi, side));
-            (lo.1..=hi.1).flat_map(move |y| (lo.0..=hi.0).map(move |x| y * side + x))
+            let ([x0, y0], [x1, y1]) = cell_box(points, *t, side);
+            (y0..=y1).flat_map(move |y| (x0..=x1).map(move |x| y * side + x))
         };
-        let kept = |t: &[u32; 3]| signed_area(points, *t) > 0.0;
         for t in mesh_triangles.iter().filter(|t| kept(t)) {
             cells_of(t).for_each(|c| start[c + 1] += 1);
         }
@@ -87,6 +95,12 @@ impl DiskLocator {
         }
         best.map(|b| b.1)
     }
+}
+
+/// First and last cells (x, y) that a triangle's box touches.
+fn cell_box(points: &[DVec2], t: [u32; 3], side: usize) -> ([usize; 2], [usize; 2]) {
+    let [a, b, c] = t.map(|v| points[v as usize]);
+    (cell(a.min(b).min(c), side).into(), cell(a.max(b).max(c), side).into())
 }
 
 fn cell(z: DVec2, side: usize) -> (usize, usize) {
@@ -152,6 +166,21 @@ mod tests {
             prop_assert!((found.distance(z) - best.sqrt()).abs() < 1e-6);
             prop_assert!((place.barycentric.iter().sum::<f32>() - 1.0).abs() < 1e-5);
         }
+    }
+
+    #[test]
+    fn slivers_across_the_disk_take_memory_in_proportion() {
+        let (points, triangles) = fan(50_000);
+        let locator = DiskLocator::new(&points, &triangles);
+        assert!(locator.triangles.len() <= CELLS_PER_TRIANGLE * triangles.len(), "{}", locator.triangles.len());
+        let z = DVec2::new(0.3, -0.6);
+        let place = locator.locate(&points, &triangles, z).unwrap();
+        let found: DVec2 = triangles[place.triangle as usize]
+            .iter()
+            .zip(place.barycentric)
+            .map(|(&v, w)| points[v as usize] * f64::from(w))
+            .sum();
+        assert!(found.distance(z) < 1e-6);
     }
 
     #[test]

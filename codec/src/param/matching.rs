@@ -76,7 +76,7 @@ mod tests {
     #[test]
     fn contradicting_landmarks_do_not_fold() {
         let points = spiral(40);
-        let triangles = [[1, 2, 4], [5, 7, 9]];
+        let triangles = [[1, 4, 2], [5, 9, 7]];
         let mut to = points.clone();
         to.swap(3, 30);
         to.swap(8, 22);

@@ -91,3 +91,38 @@ fn nearest_pairs(earlier: &Flattened, later: &Flattened) -> Vec<(DVec2, DVec2)> 
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bits::connectivity::tests::random_disk;
+    use crate::seed::Stamp;
+    use glam::Vec3;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Decoded positions are whole steps: coincident and collinear vertices are what a coarse step makes.
+        #[test]
+        fn coarse_surfaces_give_a_finite_map_or_an_error(
+            choices in prop::collection::vec(any::<u16>(), 4..120), extent in 1i32..6, seed: u32, far: bool,
+        ) {
+            let mut mesh = random_disk(&choices);
+            let mut state = seed | 1;
+            let step_mm = if far { 1e9 } else { 0.05 };
+            mesh.positions_mm.fill_with(|| {
+                Vec3::from_array(std::array::from_fn(|_| {
+                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    ((state >> 16) as i32 % extent) as f32 * step_mm
+                }))
+            });
+            let stamps = vec![Stamp { tick: 0, time_nanos: 0 }];
+            let group = Group { stamps, before_tick: None, mesh, landmarks: Vec::new() };
+            if let Ok(flat) = Flattened::new(group, None) {
+                prop_assert!(flat.disk.points.iter().all(|z| z.is_finite()));
+                if let Some(place) = flat.locate(DVec2::new(0.1, 0.2)) {
+                    prop_assert!(place.barycentric.iter().all(|w| w.is_finite()));
+                }
+            }
+        }
+    }
+}

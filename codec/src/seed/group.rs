@@ -13,8 +13,14 @@ pub const MAX_SCANS: u64 = 65_536;
 /// Most landmarks a keyframe carries.
 pub const MAX_LANDMARKS: u64 = 4096;
 
-/// Largest tick: times in nanoseconds must fit 63 bits.
+/// Largest tick: a scan a microsecond for twelve days.
 pub const MAX_TICK: u64 = 1 << 40;
+
+/// Largest sensor time, 146 years.
+pub const MAX_TIME_NANOS: u64 = (1 << 62) - 1;
+
+/// Longest landmarks section: a count, and two places of a four-byte triangle and two weights a pair.
+const MAX_LANDMARK_BYTES: usize = 2 + 12 * MAX_LANDMARKS as usize;
 
 /// When a scan was taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,17 +63,24 @@ impl Group {
 /// Writes a group around a coded surface; `before_tick` is the keyframe that `landmarks` refer to.
 ///
 /// # Errors
-/// [`CodecError::Stream`] when stamps are missing, too many, or do not increase; when there are too many landmarks.
+/// [`CodecError::Stream`] when stamps are missing, too many, out of range, or do not increase; when there are too many
+/// landmarks, or landmarks without a keyframe before.
 pub fn encode(
     header: &StreamHeader,
     stamps: &[Stamp],
     surface: &[u8],
     (before_tick, landmarks): (Option<u64>, &[LandmarkPair]),
 ) -> Result<Vec<u8>> {
-    let increasing = stamps.windows(2).all(|w| w[0].tick < w[1].tick);
-    let in_range = stamps.iter().all(|s| s.tick <= MAX_TICK && s.time_nanos < 1 << 62);
+    let increasing = stamps.windows(2).all(|w| w[0].tick < w[1].tick && w[0].time_nanos < w[1].time_nanos);
+    let in_range = stamps.iter().all(|s| s.tick <= MAX_TICK && s.time_nanos <= MAX_TIME_NANOS);
     if stamps.is_empty() || stamps.len() as u64 > MAX_SCANS || !increasing || !in_range {
-        return Err(CodecError::Stream("a group needs 1 to 65536 scans with increasing ticks".into()));
+        return Err(CodecError::Stream("a group needs 1 to 65536 scans with increasing ticks and times".into()));
+    }
+    if before_tick.is_some_and(|t| t >= stamps[0].tick) || (before_tick.is_none() && !landmarks.is_empty()) {
+        return Err(CodecError::Stream("landmarks need a keyframe before the group".into()));
+    }
+    if landmarks.len() as u64 > MAX_LANDMARKS {
+        return Err(CodecError::Stream(format!("{} landmarks; {MAX_LANDMARKS} can be coded", landmarks.len())));
     }
     let mut out = Vec::new();
     put_varint(&mut out, stamps.len() as u64);
@@ -75,7 +88,11 @@ pub fn encode(
     for s in stamps {
         put_varint(&mut out, s.tick - before);
         before = s.tick;
-        put_varint(&mut out, zigzag64(s.time_nanos as i64 - (s.tick * header.scan_period_nanos) as i64));
+        let offset = i128::from(s.time_nanos) - i128::from(s.tick) * i128::from(header.scan_period_nanos);
+        let offset = i64::try_from(offset).map_err(|_| {
+            CodecError::Stream(format!("tick {} lies centuries away from its time, {} ns", s.tick, s.time_nanos))
+        })?;
+        put_varint(&mut out, zigzag64(offset));
     }
     put_varint(&mut out, before_tick.map_or(0, |t| t + 1));
     out.extend_from_slice(surface);
@@ -108,8 +125,12 @@ fn take_stamps(header: &StreamHeader, reader: &mut ByteReader<'_>) -> Result<Vec
         }
         let offset = unzigzag64(reader.varint()?);
         let time = i128::from(tick) * i128::from(header.scan_period_nanos) + i128::from(offset);
-        let time_nanos = u64::try_from(time).ok().filter(|t| *t < 1 << 62);
-        stamps.push(Stamp { tick, time_nanos: time_nanos.ok_or_else(|| reader.error("a time out of range"))? });
+        let time_nanos = u64::try_from(time).ok().filter(|t| *t <= MAX_TIME_NANOS);
+        let time_nanos = time_nanos.ok_or_else(|| reader.error("a time out of range"))?;
+        if stamps.last().is_some_and(|s| s.time_nanos >= time_nanos) {
+            return Err(reader.error(format!("time {time_nanos} ns does not follow the one before")));
+        }
+        stamps.push(Stamp { tick, time_nanos });
     }
     if stamps.is_empty() { Err(reader.error("a group without scans")) } else { Ok(stamps) }
 }
@@ -126,15 +147,18 @@ pub fn decode(header: &StreamHeader, bytes: &[u8]) -> Result<Group> {
         return Err(reader.error("the keyframe before does not lie before"));
     }
     let mesh = surface::decode(&mut reader, header.position_step_mm)?;
-    let pairs = take_section(&mut reader, (5 + 14 * MAX_LANDMARKS) as usize, "landmarks")?;
+    let pairs = take_section(&mut reader, MAX_LANDMARK_BYTES, "landmarks")?;
     reader.finish()?;
-    let landmarks = decode_landmarks(&pairs, mesh.triangles.len() as u64)?;
+    let landmarks = decode_landmarks(&pairs, mesh.triangles.len() as u64, before_tick)?;
     Ok(Group { stamps, before_tick, mesh, landmarks })
 }
 
-fn decode_landmarks(bytes: &[u8], triangles: u64) -> Result<Vec<LandmarkPair>> {
+fn decode_landmarks(bytes: &[u8], triangles: u64, before_tick: Option<u64>) -> Result<Vec<LandmarkPair>> {
     let mut reader = ByteReader::new(bytes, "landmarks");
     let count = reader.varint_up_to(MAX_LANDMARKS, "landmark count")?;
+    if count > 0 && before_tick.is_none() {
+        return Err(reader.error("landmarks without a keyframe before"));
+    }
     let mut pairs = Vec::new();
     for _ in 0..count {
         let before = take_place(&mut reader, 2 * surface::MAX_VERTICES)?;
@@ -172,7 +196,7 @@ mod tests {
         StreamHeader { mode: Mode::Seed, keyframe_interval: 10, scan_period_nanos: 33_333_333, position_step_mm: 0.05 };
 
     fn example() -> Vec<u8> {
-        let mesh = random_disk(&(0..30).map(|i| i * 7919).collect::<Vec<u16>>());
+        let mesh = random_disk(&(0..30).map(|i: u16| i.wrapping_mul(7919)).collect::<Vec<u16>>());
         let surface = surface::encode(&mesh, HEADER.position_step_mm, None).unwrap();
         let place = |t| Place { triangle: t, barycentric: [0.2, 0.4, 0.4] };
         let pairs = [LandmarkPair { before: place(70_000), here: place(3) }];
@@ -208,6 +232,23 @@ mod tests {
     fn ticks_must_increase() {
         let s = Stamp { tick: 1, time_nanos: 0 };
         assert!(encode(&HEADER, &[s, s], &[], (None, &[])).is_err());
+        assert!(encode(&HEADER, &[s, Stamp { tick: 2, time_nanos: 0 }], &[], (None, &[])).is_err());
+        assert!(encode(&HEADER, &[s, Stamp { tick: 2, time_nanos: 1 }], &[], (None, &[])).is_ok());
         assert!(encode(&HEADER, &[], &[], (None, &[])).is_err());
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_not_written() {
+        let place = Place { triangle: 0, barycentric: [1.0, 0.0, 0.0] };
+        let pair = LandmarkPair { before: place, here: place };
+        let s = [Stamp { tick: 5, time_nanos: 0 }];
+        assert!(encode(&HEADER, &s, &[], (Some(4), &[pair])).is_ok());
+        assert!(encode(&HEADER, &s, &[], (Some(5), &[pair])).is_err());
+        assert!(encode(&HEADER, &s, &[], (None, &[pair])).is_err());
+        let many = vec![pair; MAX_LANDMARKS as usize + 1];
+        assert!(encode(&HEADER, &s, &[], (Some(4), &many)).is_err());
+        let slow = StreamHeader { scan_period_nanos: 1_000_000_000_000, ..HEADER };
+        let far = [Stamp { tick: MAX_TICK, time_nanos: 0 }];
+        assert!(encode(&slow, &far, &[], (None, &[])).unwrap_err().to_string().contains("centuries"));
     }
 }

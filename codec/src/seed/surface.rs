@@ -11,8 +11,14 @@ use glam::Vec3;
 /// Most vertices a payload may announce.
 pub const MAX_VERTICES: u64 = 1 << 22;
 
+/// Quantized positions stay below this in magnitude.
+const POSITION_LIMIT: i32 = 1 << 30;
+
 /// Coded texture coordinates are in sixteenths of a pixel.
 const UV_STEPS_PER_PX: f32 = 16.0;
+
+/// Texture coordinates lie within one picture side of the largest picture, in sixteenths of a pixel.
+const UV_RANGE: std::ops::RangeInclusive<i32> = -16 * MAX_SIDE_PX as i32..=32 * MAX_SIDE_PX as i32;
 
 /// A camera may stand for coded texture coordinates when it misses none by more than this.
 const MAX_CAMERA_ERROR_PX: f64 = 0.5;
@@ -61,7 +67,7 @@ pub fn encode(mesh: &TriMesh, step_mm: f32, texture: Option<TextureFrame>) -> Re
 }
 
 fn quantize(points: impl Iterator<Item = Vec3>, step_mm: f32) -> Result<Vec<[i32; 3]>> {
-    let limit = (1u32 << 30) as f32;
+    let limit = POSITION_LIMIT as f32;
     points
         .map(|p| {
             let q = p / step_mm;
@@ -75,8 +81,7 @@ fn quantize(points: impl Iterator<Item = Vec3>, step_mm: f32) -> Result<Vec<[i32
 }
 
 fn quantize_uv(uv: impl Iterator<Item = [f32; 2]>, [w, h]: [u32; 2]) -> Vec<[i32; 2]> {
-    let limit = MAX_SIDE_PX as f32;
-    let to = |x: f32| (x.clamp(-limit, 2.0 * limit) * UV_STEPS_PER_PX).round() as i32;
+    let to = |x: f32| ((x * UV_STEPS_PER_PX).round() as i32).clamp(*UV_RANGE.start(), *UV_RANGE.end());
     uv.map(|t| [to(t[0] * w as f32 - 0.5), to((1.0 - t[1]) * h as f32 - 0.5)]).collect()
 }
 
@@ -86,7 +91,10 @@ fn put_uv(out: &mut Vec<u8>, uv_px: Option<(TextureFrame, Vec<[i32; 2]>)>, c: &D
         out.push(0);
         return Ok(());
     };
-    let camera = frame.camera.filter(|c| c.max_error_px <= MAX_CAMERA_ERROR_PX);
+    // A camera may miss a coordinate by half a pixel, so those within a pixel of the range's ends are coded.
+    let within = |x: &i32| (UV_RANGE.start() + 16..=UV_RANGE.end() - 16).contains(x);
+    let within = uv_px.as_flattened().iter().all(within);
+    let camera = frame.camera.filter(|c| within && c.max_error_px <= MAX_CAMERA_ERROR_PX);
     out.push(if camera.is_some() { 1 } else { 2 });
     for side in frame.size_px {
         out.extend_from_slice(&(side as u16).to_le_bytes());
@@ -106,6 +114,11 @@ pub fn decode(reader: &mut ByteReader<'_>, step_mm: f32) -> Result<TriMesh> {
     let vertices = reader.varint_up_to(MAX_VERTICES, "vertex count")? as usize;
     let border = reader.varint_up_to(vertices as u64, "border count")? as usize;
     let triangles = reader.varint_up_to(2 * vertices as u64, "triangle count")? as usize;
+    if border < 3 || triangles + border + 2 != 2 * vertices {
+        return Err(reader.error(format!(
+            "{vertices} vertices, {border} of them on the border, and {triangles} triangles are no disk"
+        )));
+    }
     let letters = take_section(reader, triangles, "connectivity")?;
     if letters.len() != triangles {
         return Err(reader.error(format!("{} letters for {triangles} triangles", letters.len())));
@@ -113,6 +126,9 @@ pub fn decode(reader: &mut ByteReader<'_>, step_mm: f32) -> Result<TriMesh> {
     let connectivity = connectivity::decode(&letters, border, vertices)?;
     let planes = take_section(reader, 1 + 12 * vertices, "positions")?;
     let positions = attributes::decode::<3>(&planes, &connectivity.parents, "positions")?;
+    if let Some(v) = positions.iter().position(|q| q.iter().any(|x| x.unsigned_abs() >= POSITION_LIMIT as u32)) {
+        return Err(reader.error(format!("vertex {v} lies 2^30 steps or more from the origin")));
+    }
     let positions_mm: Vec<Vec3> =
         positions.iter().map(|q| Vec3::new(q[0] as f32, q[1] as f32, q[2] as f32) * step_mm).collect();
     let uv = take_uv(reader, &connectivity, &positions_mm)?;
@@ -140,15 +156,19 @@ fn take_uv(reader: &mut ByteReader<'_>, c: &DecodedConnectivity, positions: &[Ve
             for m in &mut matrix {
                 *m = f64::from(reader.f32()?);
             }
-            let uv: Vec<[f32; 2]> = positions.iter().map(|&p| frame.px_to_uv(project(&matrix, p))).collect();
-            if uv.iter().flatten().any(|x| !x.is_finite()) {
-                return Err(reader.error("the camera sends a vertex to infinity"));
+            let px: Vec<[f32; 2]> = positions.iter().map(|&p| project(&matrix, p)).collect();
+            let [low, high] = [UV_RANGE.start(), UV_RANGE.end()].map(|x| *x as f32 / UV_STEPS_PER_PX);
+            if !px.as_flattened().iter().all(|x| (low..=high).contains(x)) {
+                return Err(reader.error("the camera sends a vertex out of range"));
             }
-            Ok(Some(uv))
+            Ok(Some(px.into_iter().map(|p| frame.px_to_uv(p)).collect()))
         }
         2 => {
             let planes = take_section(reader, 1 + 8 * positions.len(), "texture coordinates")?;
             let uv_px = attributes::decode::<2>(&planes, &c.parents, "texture coordinates")?;
+            if !uv_px.as_flattened().iter().all(|x| UV_RANGE.contains(x)) {
+                return Err(reader.error("a texture coordinate is out of range"));
+            }
             Ok(Some(uv_px.iter().map(|q| frame.px_to_uv(q.map(|x| x as f32 / UV_STEPS_PER_PX))).collect()))
         }
         other => Err(reader.error(format!("texture coordinates of kind {other}; 0 to 2 are defined"))),
@@ -186,7 +206,7 @@ mod tests {
 
     #[test]
     fn prefixes_fail_and_flips_never_panic() {
-        let mesh = textured(&(0..40).map(|i| i * 2311).collect::<Vec<u16>>());
+        let mesh = textured(&(0..40).map(|i: u16| i.wrapping_mul(2311)).collect::<Vec<u16>>());
         let coded = encode(&mesh, 0.01, Some(TextureFrame { size_px: [64, 48], camera: None })).unwrap();
         for n in 0..coded.bytes.len() {
             assert!(decode(&mut ByteReader::new(&coded.bytes[..n], "surface"), 0.01).is_err(), "{n}");
@@ -196,6 +216,19 @@ mod tests {
             bad[i / 8] ^= 1 << (i % 8);
             let _ = decode(&mut ByteReader::new(&bad, "surface"), 0.01);
         }
+    }
+
+    #[test]
+    fn texture_coordinates_out_of_range_are_coded_at_its_ends() {
+        let mut mesh = textured(&(0..40).map(|i: u16| i.wrapping_mul(2311)).collect::<Vec<u16>>());
+        let camera = CameraFit { matrix: [0.0; 12], max_error_px: 0.0, rms_error_px: 0.0 };
+        mesh.uv.as_mut().unwrap()[0] = [1e6, f32::NEG_INFINITY];
+        let frame = TextureFrame { size_px: [64, 48], camera: Some(camera) };
+        let coded = encode(&mesh, 0.01, Some(frame)).unwrap();
+        let most = coded.decoded.uv.as_ref().unwrap().iter().map(|t| t[0]).fold(f32::MIN, f32::max);
+        assert_eq!(most, 16384.5 / 64.0);
+        let least = coded.decoded.uv.as_ref().unwrap().iter().map(|t| t[1]).fold(f32::MAX, f32::min);
+        assert_eq!(least, 1.0 - 16384.5 / 48.0);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Texture of a keyframe in `--mode seed`: the picture cropped to the surface, as a baseline JPEG (ITU-T T.81).
 
+use super::jpeg_frame;
 use crate::bits::bytes::ByteReader;
 use crate::{CodecError, GreyPicture, Result};
 use jpeg_encoder::{ColorType, Encoder};
@@ -91,25 +92,24 @@ fn smooth_outside(pixels: &mut [u8], inside: &[bool], width: usize) {
 /// Decodes a texture payload to the picture's full size; outside the crop it is 0.
 ///
 /// # Errors
-/// [`CodecError::Payload`] or [`CodecError::Texture`] when the bytes do not follow FORMAT.md.
+/// [`CodecError::Payload`] at the first byte that does not follow FORMAT.md, "Texture".
 pub fn decode(bytes: &[u8]) -> Result<GreyPicture> {
     let mut reader = ByteReader::new(bytes, "texture");
     let [w, h, x0, y0] = [reader.u16()?, reader.u16()?, reader.u16()?, reader.u16()?].map(usize::from);
     if w == 0 || h == 0 || w > MAX_SIDE_PX as usize || h > MAX_SIDE_PX as usize {
         return Err(reader.error(format!("{w}x{h} pixels; 1 to {MAX_SIDE_PX} a side are allowed")));
     }
-    let at = reader.clone();
+    let mut at = reader.clone();
     let jpeg = reader.take(reader.remaining())?;
-    let options = DecoderOptions::default()
-        .set_max_width(w - x0.min(w - 1))
-        .set_max_height(h - y0.min(h - 1))
-        .jpeg_set_out_colorspace(ColorSpace::Luma)
-        .set_strict_mode(true);
+    let [cw, ch] = jpeg_frame::size_px(&mut at)?.map(usize::from);
+    if cw == 0 || ch == 0 || x0 + cw > w || y0 + ch > h {
+        return Err(at.error(format!("a crop of {cw}x{ch} at {x0},{y0} does not fit {w}x{h} pixels")));
+    }
+    let options = DecoderOptions::default().jpeg_set_out_colorspace(ColorSpace::Luma).set_strict_mode(true);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(jpeg), options);
     let crop = decoder.decode().map_err(|e| at.error(format!("JPEG: {e:?}")))?;
-    let (cw, ch) = decoder.dimensions().ok_or_else(|| at.error("JPEG without a size"))?;
-    if crop.len() != cw * ch || x0 + cw > w || y0 + ch > h {
-        return Err(at.error(format!("a crop of {cw}x{ch} at {x0},{y0} does not fit {w}x{h} grey pixels")));
+    if crop.len() != cw * ch {
+        return Err(at.error(format!("JPEG: {} pixels for {cw}x{ch}", crop.len())));
     }
     let mut picture = GreyPicture::filled(w as u32, h as u32, 0);
     for (y, row) in crop.chunks_exact(cw).enumerate() {
@@ -155,18 +155,37 @@ mod tests {
     }
 
     #[test]
+    fn only_baseline_grey_is_taken() {
+        let coded = |color: ColorType, progressive: bool| {
+            let mut out = [16u16, 16, 0, 0].iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+            let mut encoder = Encoder::new(&mut out, 80);
+            encoder.set_progressive(progressive);
+            let channels = if color == ColorType::Rgb { 3 } else { 1 };
+            encoder.encode(&vec![77; 256 * channels], 16, 16, color).unwrap();
+            decode(&out)
+        };
+        assert!(coded(ColorType::Luma, false).unwrap().pixels.iter().all(|&p| p.abs_diff(77) < 2));
+        assert!(coded(ColorType::Rgb, false).unwrap_err().to_string().contains("not one grey"));
+        assert!(coded(ColorType::Luma, true).unwrap_err().to_string().contains("marker 0xc2"));
+    }
+
+    #[test]
     fn truncations_and_flips_never_panic() {
         let (picture, mask) = scene();
         let bytes = encode(&picture, &mask, 60).unwrap();
         for n in 0..bytes.len() {
-            let _ = decode(&bytes[..n]);
+            assert!(decode(&bytes[..n]).is_err(), "{n}");
         }
+        assert!(decode(&[&bytes[..], &[0]].concat()).unwrap_err().to_string().contains("too many"));
         for i in 0..bytes.len() {
             let mut bad = bytes.clone();
             bad[i] ^= 1 << (i % 8);
             if let Ok(p) = decode(&bad) {
                 assert!(p.pixels.len() <= (MAX_SIDE_PX * MAX_SIDE_PX) as usize);
             }
+        }
+        for n in 0..bytes.len() - 400 {
+            assert!(decode(&[&bytes[..n], &bytes[n + 400..]].concat()).is_err(), "400 bytes left out at {n}");
         }
         assert!(decode(&[0, 0, 1, 0, 0, 0, 0, 0]).unwrap_err().to_string().contains("texture, byte 8"));
     }

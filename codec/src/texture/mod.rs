@@ -1,6 +1,7 @@
 //! Texture: pictures and the coordinates that tie them to the surface.
 
 mod camera_fit;
+mod jpeg_frame;
 mod key_texture;
 
 pub use camera_fit::{CameraFit, fit_camera, project};

@@ -1,0 +1,41 @@
+//! The corpora of the fuzz targets, without the fuzzer: no payload found so far panics.
+
+#[path = "../fuzz/fuzz_targets/payloads.rs"]
+mod payloads;
+
+use std::path::Path;
+
+/// Runs every seed of a target, and every seed with a byte changed in a few ways.
+fn run(target: &str, check: fn(&[u8])) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target);
+    let mut seeds = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let mut bytes = std::fs::read(entry.unwrap().path()).unwrap();
+        check(&bytes);
+        for i in 0..bytes.len() {
+            let was = bytes[i];
+            for value in [0, 0x7f, 0xff, was.wrapping_add(1), was.wrapping_sub(1)] {
+                bytes[i] = value;
+                check(&bytes);
+            }
+            bytes[i] = was;
+        }
+        seeds += 1;
+    }
+    assert!(seeds >= 3, "{seeds} seeds of {target}");
+}
+
+#[test]
+fn stream_headers() {
+    run("stream_header", payloads::stream_header);
+}
+
+#[test]
+fn groups() {
+    run("group", payloads::group);
+}
+
+#[test]
+fn textures() {
+    run("texture", payloads::texture);
+}
