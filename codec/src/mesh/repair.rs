@@ -117,7 +117,7 @@ pub fn to_disk(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repa
     if surface.is_closed() {
         if !options.open_closed {
             return Err(CodecError::Mesh(
-                "is closed; a scan has a border (set open_closed to cut its back away)".into(),
+                "is closed; a scan has a border (--open-closed cuts its back away)".into(),
             ));
         }
         report.opened_triangles = surface.remove_where(|s, t| s.normal(t).z <= 0.0);
