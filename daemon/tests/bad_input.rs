@@ -79,8 +79,9 @@ fn coordinates_that_are_no_numbers_are_named_by_line() {
         let place = scans(3);
         let text = obj(&place, 1);
         let line = text.lines().position(|l| l.starts_with("v ")).unwrap() + 5;
-        let spoiled: Vec<String> =
-            (text.lines().enumerate()).map(|(i, l)| if i == line { format!("v 1.0 {word} 2.0") } else { l.into() }).collect();
+        let spoiled: Vec<String> = (text.lines().enumerate())
+            .map(|(i, l)| if i == line { format!("v 1.0 {word} 2.0") } else { l.into() })
+            .collect();
         put_obj(&place, 1, &spoiled.join("\n"));
         fails(&place, ENCODE, &["scans/frame_0001.obj", &format!("line {}", line + 1), reason]);
     }
@@ -177,7 +178,10 @@ fn one_scan_and_two_scans_are_sessions() {
         place.gv3("verify out.gv3").done();
         place.gv3("decode out.gv3 -o back").done();
         place.gv3("measure out.gv3 --against scans").done();
-        assert_eq!(place.names().iter().filter(|n| n.starts_with("back/") && n.ends_with(".obj")).count() as u64, count);
+        assert_eq!(
+            place.names().iter().filter(|n| n.starts_with("back/") && n.ends_with(".obj")).count() as u64,
+            count
+        );
     }
 }
 
@@ -198,7 +202,8 @@ fn in_pieces(tick: u64) -> Scan {
     let mesh = &mut scan.mesh;
     let square = TriMesh { triangles: vec![[0, 1, 2], [0, 2, 3]], ..TriMesh::default() };
     let first = mesh.vertex_count() as u32;
-    mesh.positions_mm.extend([[90.0, 0.0], [95.0, 0.0], [95.0, 5.0], [90.0, 5.0]].map(|[x, y]| glam::Vec3::new(x, y, 0.0)));
+    mesh.positions_mm
+        .extend([[90.0, 0.0], [95.0, 0.0], [95.0, 5.0], [90.0, 5.0]].map(|[x, y]| glam::Vec3::new(x, y, 0.0)));
     mesh.uv.as_mut().unwrap().extend([[0.9, 0.5]; 4]);
     mesh.triangles.extend(square.triangles.iter().map(|t| t.map(|v| v + first)));
     scan
@@ -209,7 +214,10 @@ fn the_largest_of_several_pieces_is_kept_and_the_note_says_so() {
     let place = Place::new();
     write_scans(&place.path("scans"), ExportFormat::Obj, (0..3).map(in_pieces));
     let report = place.gv3(ENCODE_JSON).json();
-    assert!(notes(&report).iter().any(|n| n.contains("frame_0000.obj: 2 triangles of other pieces dropped")), "{report}");
+    assert!(
+        notes(&report).iter().any(|n| n.contains("frame_0000.obj: 2 triangles of other pieces dropped")),
+        "{report}"
+    );
     place.gv3("verify out.gv3").done();
 }
 
@@ -219,7 +227,10 @@ fn a_scan_that_cannot_be_used_later_on_is_left_out_and_the_note_says_so() {
     let spoiled = |tick| if tick == 10 { Scan { mesh: closed(4), ..scan(tick) } } else { scan(tick) };
     write_scans(&place.path("scans"), ExportFormat::Obj, (0..13).map(spoiled));
     let report = place.gv3(ENCODE_JSON).json();
-    assert!(notes(&report).iter().any(|n| n.contains("frame_0010.obj: no keyframe, the next scan is tried")), "{report}");
+    assert!(
+        notes(&report).iter().any(|n| n.contains("frame_0010.obj: no keyframe, the next scan is tried")),
+        "{report}"
+    );
     let info = place.gv3("info out.gv3 --json").json();
     assert_eq!(info["keyframes"], 3);
     assert!(info["events"][0]["message"].as_str().unwrap().contains("frame_0010.obj"), "{info}");
@@ -321,7 +332,8 @@ fn a_recording_on_a_full_disk_keeps_its_complete_groups() {
 fn what_exists_is_replaced_only_with_force() {
     let place = session();
     let old = place.read("face.gv3");
-    for command in ["encode scans -o face.gv3", "capture face.gv3 --sim --seconds 0.1", "recover face.gv3 -o face.gv3"] {
+    for command in ["encode scans -o face.gv3", "capture face.gv3 --sim --seconds 0.1", "recover face.gv3 -o face.gv3"]
+    {
         fails(&place, command, &["face.gv3", "exists already", "--force"]);
         assert_eq!(place.read("face.gv3"), old, "{command}");
     }
@@ -352,7 +364,11 @@ fn a_truncated_session_replays_what_is_complete() {
         assert!(info.contains("unfinished") && info.contains("complete groups"), "{info}");
         let run = place.gv3("verify cut.gv3");
         assert_eq!(run.code, Some(1));
-        assert!(run.stdout.contains("cut.gv3: damaged") && run.stdout.contains("gv3 recover cut.gv3"), "{}", run.stdout);
+        assert!(
+            run.stdout.contains("cut.gv3: damaged") && run.stdout.contains("gv3 recover cut.gv3"),
+            "{}",
+            run.stdout
+        );
         place.gv3("decode cut.gv3 -o back --force").done();
     }
     place.write("cut.gv3", &whole[..400]);
@@ -468,7 +484,8 @@ fn what_is_no_session_is_refused() {
     place.write("text.gv3", "v 0 0 0\nf 1 2 3\n".repeat(100));
     std::fs::rename(place.path("scans/frame_0000.bmp"), place.path("picture.gv3")).unwrap();
     for name in ["empty.gv3", "text.gv3", "picture.gv3", "scans", "/dev/null"] {
-        for command in ["info", "verify", "recover", "decode -o back", "recover -o back.gv3", "measure --against scans"] {
+        for command in ["info", "verify", "recover", "decode -o back", "recover -o back.gv3", "measure --against scans"]
+        {
             let (verb, rest) = command.split_once(' ').unwrap_or((command, ""));
             fails(&place, &format!("{verb} {name} {rest}"), &[name, "not a gv3 session"]);
         }

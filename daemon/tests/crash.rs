@@ -102,7 +102,8 @@ fn check_killed(place: &Place, groups: usize) {
     place.gv3("verify whole.gv3").done();
     assert!(place.gv3("info whole.gv3").done().starts_with("whole.gv3: finished"));
     let ticks = format!("--scans 0..{last}");
-    let [a, b] = ["killed", "whole"].map(|name| place.gv3(&format!("decode {name}.gv3 -o {name} --json {ticks}")).json());
+    let [a, b] =
+        ["killed", "whole"].map(|name| place.gv3(&format!("decode {name}.gv3 -o {name} --json {ticks}")).json());
     assert_eq!((a["files"].as_u64(), b["files"].as_u64()), (Some(last + 1), Some(last + 1)));
     let names = place.names();
     let files: Vec<&str> = names.iter().filter_map(|n| n.strip_prefix("killed/")).collect();
