@@ -116,9 +116,7 @@ pub fn to_disk(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repa
     report.other_piece_triangles += surface.keep_largest_piece();
     if surface.is_closed() {
         if !options.open_closed {
-            return Err(CodecError::Mesh(
-                "is closed; a scan has a border (set open_closed to cut its back away)".into(),
-            ));
+            return Err(CodecError::Mesh("is closed; a scan has a border (--open-closed cuts its back away)".into()));
         }
         report.opened_triangles = surface.remove_where(|s, t| s.normal(t).z <= 0.0);
         report.other_piece_triangles += surface.keep_largest_piece();

@@ -63,7 +63,11 @@ impl Verify {
 
     fn describe(&self, r: &FullReport) -> String {
         let c = &r.container;
-        let verdict = if r.ok { "intact" } else { "damaged" };
+        let verdict = match (c.ok(), r.ok) {
+            (_, true) => "intact",
+            (true, false) => "cannot be decoded",
+            (false, false) => "damaged",
+        };
         let mut text = format!(
             "{}: {verdict}; {} groups ({} decoded), {} textures, {} chunks with the right checksum",
             self.session.display(),
@@ -78,7 +82,8 @@ impl Verify {
         for problem in &r.payload_problems {
             let _ = write!(text, "\n  {problem}");
         }
-        if !r.ok {
+        // Recovery copies groups as they are: it helps only where checksums are wrong.
+        if !c.ok() {
             let _ = write!(text, "\n  `gv3 recover {0} -o whole.gv3` keeps what is intact", self.session.display());
         }
         text

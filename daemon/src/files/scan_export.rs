@@ -36,7 +36,7 @@ impl ExportWriter {
         std::fs::create_dir_all(folder).map_err(FileError::io(folder, "create the folder"))?;
         let mut entries = std::fs::read_dir(folder).map_err(FileError::io(folder, "open the folder"))?;
         if !overwrite && entries.next().is_some() {
-            let reason = "the folder is not empty; give another one, or allow overwriting";
+            let reason = "the folder is not empty; give another one, or write into it (--force)";
             return Err(FileError::content(folder, reason));
         }
         Ok(Self { folder: folder.into(), format })
@@ -144,7 +144,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("frame_0001.obj"), "old").unwrap();
         let error = ExportWriter::create(folder.path(), ExportFormat::Obj, false).unwrap_err().to_string();
-        assert!(error.ends_with("the folder is not empty; give another one, or allow overwriting"), "{error}");
+        assert!(error.ends_with("the folder is not empty; give another one, or write into it (--force)"), "{error}");
         let writer = ExportWriter::create(folder.path(), ExportFormat::Obj, true).unwrap();
         writer.write(1, &triangle(), None).unwrap();
         assert_eq!(names(folder.path()), ["frame_0001.obj"]);

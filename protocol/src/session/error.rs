@@ -52,7 +52,7 @@ pub enum SessionError {
         reason: String,
     },
     /// The output exists and overwriting was not asked for.
-    #[error("{}: exists already; ask for overwriting or choose another name", path.display())]
+    #[error("{}: exists already; choose another name, or overwrite it (--force)", path.display())]
     Exists {
         /// File concerned.
         path: PathBuf,

@@ -1,0 +1,66 @@
+//! What `gv3 decode` writes: which scans, how many, and under which names.
+
+mod common;
+
+use common::Place;
+use common::moving_face::{scan, write_scans};
+use gv3::files::{ExportFormat, ScanFolder};
+
+/// A place with a session `face.gv3` of ticks 0 to 20 but 5 and 6.
+fn session() -> Place {
+    let place = Place::new();
+    let scans = (0..=20).filter(|t| ![5, 6].contains(t)).map(scan);
+    write_scans(&place.path("scans"), ExportFormat::Obj, scans);
+    place.gv3("encode scans -o face.gv3").done();
+    place
+}
+
+fn written(place: &Place, arguments: &str) -> ScanFolder {
+    let _ = std::fs::remove_dir_all(place.path("back"));
+    let report = place.gv3(&format!("decode face.gv3 -o back --json {arguments}")).json();
+    let folder = ScanFolder::open(&place.path("back")).unwrap();
+    assert_eq!(report["files"], folder.len());
+    folder
+}
+
+#[test]
+fn original_times_keep_their_ticks_as_numbers() {
+    let place = session();
+    let scans = written(&place, "");
+    let ticks: Vec<u64> = (0..scans.len()).map(|i| scans.tick(i)).collect();
+    assert_eq!(ticks, (0..=20).filter(|t| ![5, 6].contains(t)).collect::<Vec<_>>());
+    assert!(scans.has_pictures());
+    assert_eq!(scans.name(5), "frame_0007.obj");
+    assert_eq!(written(&place, "--scans 4..8").len(), 3);
+}
+
+#[test]
+fn the_number_of_scans_grows_with_the_rate() {
+    let place = session();
+    let length_s = 20.0 / 30.0;
+    let mut before = 0;
+    for fps in [0.5, 1.4, 10.0, 29.0, 30.0, 45.0, 60.0, 120.0] {
+        let count = written(&place, &format!("--fps {fps}")).len();
+        assert_eq!(count, (length_s * fps + 1e-6) as usize + 1, "{fps} scans a second");
+        assert!(count >= before);
+        before = count;
+    }
+}
+
+#[test]
+fn the_same_time_gives_the_same_files_however_it_is_asked_for() {
+    let place = session();
+    let at_rate = written(&place, "--fps 15 --format ply");
+    let mesh = place.read(&format!("back/{}", at_rate.name(5)));
+    let picture = place.read("back/frame_0005.png");
+    let asked = written(&place, "--times 0.333333333 --format ply");
+    assert_eq!(asked.name(0), "frame_0000.ply");
+    assert_eq!(without_texture_name(&place.read("back/frame_0000.ply")), without_texture_name(&mesh));
+    assert_eq!(place.read("back/frame_0000.png"), picture);
+}
+
+/// A PLY file from its first element on.
+fn without_texture_name(ply: &[u8]) -> &[u8] {
+    let at = ply.windows(8).position(|w| w == b"element ").unwrap();
+    &ply[at..]
+}
