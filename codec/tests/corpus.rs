@@ -1,4 +1,5 @@
 //! The corpora of the fuzz targets, without the fuzzer: no payload found so far panics.
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 #[path = "../fuzz/fuzz_targets/payloads.rs"]
 mod payloads;

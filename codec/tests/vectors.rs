@@ -1,4 +1,5 @@
 //! The conformance vectors of FORMAT.md. `GV3_WRITE_VECTORS=1 cargo test -p gv3-codec --test vectors` writes them anew.
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 mod payloads;
 
