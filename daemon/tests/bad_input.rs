@@ -1,4 +1,5 @@
 //! What people and disks do to files: each case ends in a clear error or a repair that is said, never in half a file.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 mod common;
 

@@ -1,4 +1,5 @@
 //! A recording that is killed keeps every complete group; one that is told to stop finishes its file.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 mod common;
 
@@ -75,7 +76,7 @@ fn killed_before_the_first_group_there_is_nothing_and_nothing_is_made_up() {
 
 #[test]
 fn killed_after_some_groups_these_replay_and_recover() {
-    for (groups, later_millis) in [(1, 0), (1, 300), (2, 0), (3, 150)] {
+    for (groups, later_millis) in [(1, 0), (1, 300), (2, 0)] {
         let place = Place::new();
         let mut recording = Recording::start(&place);
         recording.wait_for_groups(&place, groups);

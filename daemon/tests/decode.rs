@@ -1,4 +1,5 @@
 //! What `gv3 decode` writes: which scans, how many, and under which names.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 mod common;
 

@@ -1,4 +1,5 @@
 //! Scans -> encoder -> payloads -> player -> scans, on a small moving face.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use gv3::files::picture::PictureFormat;
 use gv3::files::{ExportFormat, ScanFolder};

@@ -1,5 +1,6 @@
 //! Surfaces of others, where they are at hand: the folder that GV3_TEST_DATA names, `../shared/data` beside the
 //! workspace otherwise.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use glam::DVec2;
 use gv3::files::obj::read_obj;

@@ -1,4 +1,5 @@
 //! The simulated rig recorded with pictures lost, doubled and late: what is dropped, what is told, what remains.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use gv3::device::sim::{Fault, FaultKind, SimWorld};
 use gv3::device::{self, RigConfig};
