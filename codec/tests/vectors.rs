@@ -252,8 +252,8 @@ fn invalid_landmarks() -> Vec<Invalid> {
     let mut long = g().payload();
     long.push(("one byte more", vec![0]));
     vec![
-        ("group-landmarks-above", marks(&[0x81, 0x20]), "landmark count is 4097"),
-        ("group-landmarks-long", marks(&vec![0; 49_155]), "landmarks is 49155, at most 49154"),
+        ("group-landmarks-above", marks(&[0x81, 0x08]), "landmark count is 1025"),
+        ("group-landmarks-long", marks(&vec![0; 12_291]), "landmarks is 12291, at most 12290"),
         ("group-landmark-here", marks(&[1, 0, 255, 0, 6, 255, 0]), "landmarks, byte 4: triangle is 6, at most 5"),
         (
             "group-landmark-before",

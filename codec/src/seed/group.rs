@@ -11,7 +11,7 @@ use crate::{CodecError, Result, StreamHeader};
 pub const MAX_SCANS: u64 = 65_536;
 
 /// Most landmarks a keyframe carries.
-pub const MAX_LANDMARKS: u64 = 4096;
+pub const MAX_LANDMARKS: u64 = 1024;
 
 /// Largest tick: a scan a microsecond for twelve days.
 pub const MAX_TICK: u64 = 1 << 40;
