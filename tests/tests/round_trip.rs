@@ -143,7 +143,8 @@ fn scans_without_texture_and_without_uv_are_coded() {
             let shown = run.play(&mut player, tick * PERIOD_NANOS).unwrap();
             assert!(shown.texture.is_none());
             let limit_mm = if tick == 5 { 0.6 } else { KEY_LIMIT_MM };
-            assert!(apart_mm(&scan(tick), &shown) < limit_mm, "tick {tick}");
+            let apart = apart_mm(&scan(tick), &shown);
+            assert!(apart < limit_mm, "tick {tick}: {apart} mm");
         }
     }
 }

@@ -1,6 +1,7 @@
 //! A keyframe laid on its disk, ready to be matched and looked up.
 
 use super::group::{Group, LandmarkPair};
+use crate::mesh::Bvh;
 use crate::param::disk::{DiskMap, disk_map};
 use crate::param::locate::{DiskLocator, Place};
 use crate::param::matching::DiskMatch;
@@ -72,22 +73,21 @@ impl Neighbours {
 /// With fewer tracked landmarks the matching rests on points that lie nearest in the frontal view.
 const MIN_LANDMARKS: usize = 12;
 
-/// Pairs of vertices that lie at nearly the same frontal position: what remains when nothing could be tracked, right for
-/// slow motion only.
+/// Vertices of the earlier surface and the points of the later one nearest to them: what remains when nothing could be
+/// tracked, right for slow motion only.
 fn nearest_pairs(earlier: &Flattened, later: &Flattened) -> Vec<(DVec2, DVec2)> {
-    const SIDE: usize = 10;
-    let (lo, hi) = earlier.group.mesh.bounds_mm();
-    let cell = (hi - lo).truncate() / SIDE as f32;
-    let nearest = |f: &Flattened, at: glam::Vec2| {
-        let distance = |p: &glam::Vec3| p.truncate().distance_squared(at);
-        let best =
-            f.group.mesh.positions_mm.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)))?;
-        (distance(best.1) < cell.length_squared() / 64.0).then(|| f.disk.points[best.0])
-    };
-    (0..SIDE * SIDE)
-        .filter_map(|i| {
-            let at = lo.truncate() + cell * glam::Vec2::new((i % SIDE) as f32 + 0.5, (i / SIDE) as f32 + 0.5);
-            Some((nearest(earlier, at)?, nearest(later, at)?))
+    const SAMPLES: usize = 128;
+    const REACH_MM: f32 = 10.0;
+    // The border is where a surface was cut off, not a line of it.
+    const INSIDE: f64 = 0.95;
+    let bvh = Bvh::new(&later.group.mesh);
+    let points = &earlier.group.mesh.positions_mm;
+    let inside: Vec<usize> = (0..points.len()).filter(|&v| earlier.disk.points[v].length() < INSIDE).collect();
+    (inside.iter().step_by(inside.len().div_ceil(SAMPLES).max(1)))
+        .filter_map(|&v| {
+            let nearest = bvh.nearest(points[v], REACH_MM)?;
+            let place = Place { triangle: nearest.triangle, barycentric: nearest.barycentric };
+            Some((earlier.disk.points[v], later.disk_point(place)))
         })
         .collect()
 }
