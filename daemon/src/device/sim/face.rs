@@ -297,7 +297,7 @@ mod tests {
         let face = Face::new();
         let triangles = face.triangles();
         let mut positions = Vec::new();
-        for millis in (0..8000u64).step_by(100) {
+        for millis in (0..8000i64).step_by(100) {
             face.pose(&Posture::at(millis * 1_000_000, 1, 1.0), &mut positions);
             let folded = triangles
                 .iter()

@@ -3,11 +3,11 @@
 //! Two z-buffers: the camera's picture, and the projector's view for shadows. Shading is Lambert with some specular light at
 //! the vertices, albedo and projected level at the pixels; then shot and read noise and 8-bit rounding.
 
-use super::SimConfig;
 use super::face::{COLUMNS, Face};
 use super::noise;
 use super::raster::for_each_pixel;
 use super::skin::Skin;
+use super::{Finish, Region, SimConfig};
 use crate::light::triangulate::scan_from_camera;
 use crate::light::{Calibration, Direction, Distortion, Intrinsics, LightError, Pattern};
 use glam::{Mat3, Vec3};
@@ -18,8 +18,11 @@ const GAIN_LEVELS: f32 = 320.0;
 const NOMINAL_EXPOSURE_NANOS: f32 = 5_000_000.0;
 /// Light of a black projector pixel over that of a white one.
 const BLACK_LEVEL: f32 = 0.01;
-/// Strength of the specular light (exponent 16).
+/// Light of a pixel that sees no surface.
+const BACKGROUND: f32 = 0.002;
+/// Strength of the specular light (exponent 16) of skin, and of a shiny region: four times a white surface.
 const SPECULAR: f32 = 0.05;
+const SHINY_SPECULAR: f32 = 4.0;
 /// The shadow map has one cell for this many projector pixels each way, and every other vertex.
 const SHADOW_CELL_PX: f32 = 4.0;
 const SHADOW_STEP: usize = 2;
@@ -86,10 +89,17 @@ pub struct ShownPattern {
 }
 
 impl ShownPattern {
-    /// The pattern as an 8-bit projector of `length_px` pixels along its direction shows it.
-    pub fn new(pattern: &Pattern, length_px: u32) -> Self {
-        let level = |v: u8| BLACK_LEVEL + (1.0 - BLACK_LEVEL) * f32::from(v) / 255.0;
-        Self { levels: pattern.levels(length_px).into_iter().map(level).collect(), direction: pattern.direction }
+    /// The pattern as an 8-bit projector of `length_px` pixels along its direction shows it, its light the `gamma`-th power of
+    /// its input and blurred by a Gaussian of `sigma_px`.
+    ///
+    /// The blur lowers the modulation of period p by exp(-2 pi^2 sigma^2 / p^2), the Gaussian's Fourier transform.
+    pub fn new(pattern: &Pattern, length_px: u32, gamma: f32, sigma_px: f32) -> Self {
+        let response =
+            |v: u8| if gamma == 1.0 { f32::from(v) } else { 255.0 * libm::powf(f32::from(v) / 255.0, gamma) };
+        let level = |v: u8| BLACK_LEVEL + (1.0 - BLACK_LEVEL) * response(v) / 255.0;
+        let sharp: Vec<f32> = pattern.levels(length_px).into_iter().map(level).collect();
+        let levels = if sigma_px > 0.0 { blurred(&sharp, sigma_px) } else { sharp };
+        Self { levels, direction: pattern.direction }
     }
 
     #[inline]
@@ -102,6 +112,17 @@ impl ShownPattern {
     }
 }
 
+/// Levels after a Gaussian blur to five sigma; beyond the projector's edges it is dark.
+fn blurred(levels: &[f32], sigma_px: f32) -> Vec<f32> {
+    let reach = (5.0 * sigma_px).ceil() as isize;
+    let weight = |d: isize| libm::exp(-0.5 * (d as f64 / f64::from(sigma_px)).powi(2));
+    let kernel: Vec<f64> = (-reach..=reach).map(weight).collect();
+    let total: f64 = kernel.iter().sum();
+    let at = |u: isize| usize::try_from(u).ok().and_then(|u| levels.get(u)).map_or(0.0, |v| f64::from(*v));
+    let blur = |u: isize| (-reach..=reach).zip(&kernel).map(|(d, w)| w * at(u + d)).sum::<f64>() / total;
+    (0..levels.len() as isize).map(|u| blur(u) as f32).collect()
+}
+
 /// Renders pictures; keeps its buffers.
 #[derive(Debug, Clone)]
 pub struct Renderer {
@@ -112,8 +133,13 @@ pub struct Renderer {
     /// The pixels' rays in the projector's axes.
     rays: Vec<Vec3>,
     texels: Vec<[f32; 2]>,
+    /// Strength of the specular light of every vertex.
+    strengths: Vec<f32>,
     corners: Vec<Corner>,
     inverse_depth: Vec<f32>,
+    /// Sum over the instants gathered, 1 for a white surface lit head-on.
+    light: Vec<f32>,
+    instants: u32,
     seen: Vec<Seen>,
     shadow_size: [usize; 2],
     shadow_corners: Vec<[f32; 3]>,
@@ -125,7 +151,7 @@ impl Renderer {
     ///
     /// # Errors
     /// [`LightError::Field`] for a calibration that cannot work.
-    pub fn new(calibration: &Calibration, face: &Face) -> Result<Self, LightError> {
+    pub fn new(calibration: &Calibration, face: &Face, regions: &[Region]) -> Result<Self, LightError> {
         calibration.validate()?;
         let rotation = calibration.projector_from_camera.matrix();
         let rays: Vec<Vec3> =
@@ -140,8 +166,11 @@ impl Renderer {
             translation_mm: calibration.projector_from_camera.translation().as_vec3(),
             rays,
             texels: face.rest_mm.iter().map(|p| Skin::texel_of(p.x, p.y)).collect(),
+            strengths: face.rest_mm.iter().map(|p| specular_strength(p.x, p.y, regions)).collect(),
             corners: vec![Corner::default(); face.rest_mm.len()],
             inverse_depth: vec![0.0; pixels],
+            light: vec![0.0; pixels],
+            instants: 0,
             seen: vec![Seen::default(); pixels],
             shadow_size,
             shadow_corners: Vec::new(),
@@ -149,30 +178,36 @@ impl Renderer {
         })
     }
 
-    /// One picture of the face at `positions_mm` (scan frame); dark where the projector shows nothing.
-    pub fn render(
-        &mut self,
-        positions_mm: &[Vec3],
-        skin: &Skin,
-        pattern: Option<&ShownPattern>,
-        exposure_nanos: u64,
-        config: &SimConfig,
-        picture_number: u64,
-    ) -> GreyPicture {
+    /// Forgets the light gathered so far.
+    pub fn clear(&mut self) {
+        self.light.fill(0.0);
+        self.instants = 0;
+    }
+
+    /// Gathers the light of one instant, the face at `positions_mm` (scan frame); dark where the projector shows nothing.
+    pub fn add_light(&mut self, positions_mm: &[Vec3], skin: &Skin, pattern: Option<&ShownPattern>, ambient: f32) {
         self.place_corners(positions_mm);
         self.draw_shadow_map(positions_mm);
         self.draw_camera_view();
-        let gain = GAIN_LEVELS * exposure_nanos as f32 / NOMINAL_EXPOSURE_NANOS;
+        self.instants += 1;
+        for i in 0..self.rays.len() {
+            let seen = self.inverse_depth[i] > 0.0;
+            self.light[i] += if seen { self.light_at(i, skin, pattern, ambient) } else { BACKGROUND };
+        }
+    }
+
+    /// The picture of the light gathered: the mean over its instants, with noise and 8-bit rounding.
+    pub fn develop(&self, exposure_nanos: u64, config: &SimConfig, picture_number: u64) -> GreyPicture {
+        let gain = GAIN_LEVELS * exposure_nanos as f32 / NOMINAL_EXPOSURE_NANOS / self.instants.max(1) as f32;
         let seed = noise::hash(noise::hash(config.seed) ^ picture_number);
-        let mut pixels = vec![0u8; self.rays.len()];
-        for (i, pixel) in pixels.iter_mut().enumerate() {
-            let light = if self.inverse_depth[i] > 0.0 { self.light(i, skin, pattern, config.ambient) } else { 0.002 };
+        let pixel = |(i, light): (usize, &f32)| {
             let grey = gain * light;
             let variance = config.read_noise_levels * config.read_noise_levels + grey / config.electrons_per_level;
             let noisy = grey + variance.sqrt() * noise::normal(seed.wrapping_add(i as u64));
             // The cast saturates: below 0 and above 255 as a sensor does.
-            *pixel = (noisy + 0.5) as u8;
-        }
+            (noisy + 0.5) as u8
+        };
+        let pixels = self.light.iter().enumerate().map(pixel).collect();
         GreyPicture::new(self.camera.size_px[0] as u32, self.camera.size_px[1] as u32, pixels)
     }
 
@@ -195,7 +230,7 @@ impl Renderer {
                 let p = here[c];
                 let across = here[(c + 1).min(COLUMNS - 1)] - here[c.saturating_sub(1)];
                 let normal = across.cross(above[c] - below[c]).normalize_or_zero();
-                let (diffuse, specular) = shade(p, normal, light_mm);
+                let (diffuse, specular) = shade(p, normal, light_mm, self.strengths[row * COLUMNS + c]);
                 let inverse_depth = -1.0 / p.z;
                 let px = self.camera.px(p.x * inverse_depth, -p.y * inverse_depth);
                 *corner = Corner { px, inverse_depth, texel: self.texels[row * COLUMNS + c], diffuse, specular };
@@ -258,7 +293,7 @@ impl Renderer {
 
     /// Light that pixel `i` receives, 1 for a white surface lit head-on.
     #[inline]
-    fn light(&self, i: usize, skin: &Skin, pattern: Option<&ShownPattern>, ambient: f32) -> f32 {
+    fn light_at(&self, i: usize, skin: &Skin, pattern: Option<&ShownPattern>, ambient: f32) -> f32 {
         let seen = self.seen[i];
         let albedo = skin.albedo(seen.texel);
         let projected = match pattern {
@@ -286,9 +321,15 @@ impl Renderer {
     }
 }
 
+/// Strength of the specular light at a place of the face at rest.
+fn specular_strength(x_mm: f32, y_mm: f32, regions: &[Region]) -> f32 {
+    let shiny = regions.iter().filter(|r| r.finish == Finish::Shiny);
+    shiny.fold(SPECULAR, |strength, r| strength + r.weight(x_mm, y_mm) * (SHINY_SPECULAR - strength))
+}
+
 /// Diffuse and specular light at a vertex, 1 head-on at 600 mm from the light; the camera is the origin.
 #[inline]
-fn shade(p: Vec3, normal: Vec3, light_mm: Vec3) -> (f32, f32) {
+fn shade(p: Vec3, normal: Vec3, light_mm: Vec3, strength: f32) -> (f32, f32) {
     let to_light = light_mm - p;
     let distance2 = to_light.length_squared();
     let to_light = to_light * (1.0 / distance2.sqrt());
@@ -298,5 +339,41 @@ fn shade(p: Vec3, normal: Vec3, light_mm: Vec3) -> (f32, f32) {
     let aligned = normal.dot(half).max(0.0);
     let power4 = (aligned * aligned) * (aligned * aligned);
     let power16 = (power4 * power4) * (power4 * power4);
-    (lambert * falloff, if lambert > 0.0 { SPECULAR * power16 * falloff } else { 0.0 })
+    (lambert * falloff, if lambert > 0.0 { strength * power16 * falloff } else { 0.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::TAU;
+
+    /// Amplitude of the harmonic `order` of a pattern of period 24 px, away from the projector's edges.
+    fn amplitude(order: f64, gamma: f32, sigma_px: f32) -> f64 {
+        let pattern = Pattern { period_px: 24.0, shift_rad: 0.3, direction: Direction::Columns };
+        let shown = ShownPattern::new(&pattern, 480, gamma, sigma_px);
+        let (s, c) = (0..240).fold((0.0, 0.0), |(s, c), u| {
+            let angle = TAU * order * f64::from(u) / 24.0;
+            let level = f64::from(shown.level([120.0 + u as f32, 0.0]));
+            (s + level * angle.sin(), c + level * angle.cos())
+        });
+        s.hypot(c) / 120.0
+    }
+
+    #[test]
+    fn defocus_lowers_the_modulation_as_the_gaussian_says() {
+        for sigma_px in [1.0f32, 3.0, 6.0] {
+            let found = amplitude(1.0, 1.0, sigma_px) / amplitude(1.0, 1.0, 0.0);
+            let expected = (-0.5 * (TAU * f64::from(sigma_px) / 24.0).powi(2)).exp();
+            assert!((found / expected - 1.0).abs() < 0.01, "sigma {sigma_px} px: {found}, expected {expected}");
+        }
+    }
+
+    #[test]
+    fn gamma_makes_harmonics_and_defocus_takes_them_away() {
+        assert!(amplitude(2.0, 1.0, 0.0) < 1e-3);
+        // ((1 + cos x) / 2)^2 = 3/8 + cos(x) / 2 + cos(2x) / 8.
+        let ratio = |sigma_px| amplitude(2.0, 2.0, sigma_px) / amplitude(1.0, 2.0, sigma_px);
+        assert!((ratio(0.0) - 0.25).abs() < 2e-3, "{}", ratio(0.0));
+        assert!(ratio(6.0) < 0.01, "{}", ratio(6.0));
+    }
 }
