@@ -10,21 +10,23 @@ mod noise;
 mod projector;
 mod raster;
 mod render;
+mod scene;
 mod skin;
 
 use super::{DeviceError, Frame, PatternIndex, RigConfig, SequenceTiming};
 use crate::light::PatternSequence;
-use face::Face;
 use glam::Vec3;
 use gv3_codec::{GreyPicture, mesh::TriMesh};
 use motion::Posture;
 use render::{Renderer, ShownPattern};
+use scene::Scene;
 use serde::{Deserialize, Serialize};
 use skin::Skin;
 use std::collections::VecDeque;
 
 pub use camera::SimCamera;
 pub use projector::SimProjector;
+pub use scene::SceneConfig;
 
 /// How a picture goes wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,7 +52,7 @@ pub struct Fault {
     pub picture: u32,
 }
 
-/// What a region of the face is like.
+/// What a region of the surface is like.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Finish {
@@ -60,13 +62,13 @@ pub enum Finish {
     Shiny,
 }
 
-/// A round region of the face with another finish; it moves with the material.
+/// A round region of the surface with another finish; it moves with the material.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Region {
     /// Its finish.
     pub finish: Finish,
-    /// Centre on the face at rest: to the picture's right and up from the nose's root, mm.
+    /// Centre at rest, to the picture's right and up, mm: on the head from the nose's root, on solids from the camera's axis.
     pub centre_mm: [f32; 2],
     /// Radius, mm.
     pub radius_mm: f32,
@@ -97,7 +99,7 @@ pub struct SimConfig {
     pub electrons_per_level: f32,
     /// Ambient light over the projector's white.
     pub ambient: f32,
-    /// Velocity of the whole head in the scan frame on top of its own movement, mm/s; it is in its place at time 0.
+    /// Velocity of the scene in the scan frame on top of the head's own movement, mm/s; it is in its place at time 0.
     pub velocity_mm_s: [f32; 3],
     /// Instants over which an exposure is integrated; 1 freezes all movement.
     pub motion_samples: u32,
@@ -105,7 +107,9 @@ pub struct SimConfig {
     pub projector_gamma: f32,
     /// Standard deviation of the projector's Gaussian blur, projector pixels; 0 is sharp.
     pub defocus_sigma_px: f32,
-    /// Dark and shiny parts of the face.
+    /// What stands before the scanner.
+    pub scene: SceneConfig,
+    /// Dark and shiny parts of the surface.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub regions: Vec<Region>,
     /// Pictures that go wrong.
@@ -124,6 +128,7 @@ impl Default for SimConfig {
             motion_samples: 1,
             projector_gamma: 1.0,
             defocus_sigma_px: 0.0,
+            scene: SceneConfig::Head,
             regions: Vec::new(),
             faults: Vec::new(),
         }
@@ -180,10 +185,10 @@ enum Shown {
     Playing { timing: SequenceTiming, start_nanos: u64 },
 }
 
-/// The world: a moving face, a rig and a clock.
+/// The world: a scene, a rig and a clock.
 pub struct SimWorld {
     config: SimConfig,
-    face: Face,
+    scene: Scene,
     skin: Skin,
     renderer: Renderer,
     posed_mm: Vec<Vec3>,
@@ -205,12 +210,12 @@ impl SimWorld {
     pub fn new(config: &RigConfig) -> Result<Self, DeviceError> {
         config.validate()?;
         let calibration = config.calibration()?;
-        let face = Face::new();
+        let scene = Scene::new(&config.sim.scene)?;
         Ok(Self {
-            renderer: Renderer::new(&calibration, &face, &config.sim.regions)?,
-            skin: Skin::new(config.sim.seed, &config.sim.regions),
+            renderer: Renderer::new(&calibration, &scene, &config.sim.regions)?,
+            skin: scene.skin(&config.sim),
             config: config.sim.clone(),
-            face,
+            scene,
             posed_mm: Vec::new(),
             camera_size_px: [calibration.camera.width_px, calibration.camera.height_px],
             projector_size_px: [calibration.projector.width_px, calibration.projector.height_px],
@@ -225,9 +230,9 @@ impl SimWorld {
     /// True surface at a time, scan frame, with `uv` at the places of [`Self::truth_albedo`]. For tests and reports.
     pub fn truth_mesh(&self, time_nanos: u64) -> TriMesh {
         let mut positions_mm = Vec::new();
-        self.face.pose(&self.posture(time_nanos as i64), &mut positions_mm);
-        let uv = self.face.rest_mm.iter().map(|p| Skin::uv_of(p.x, p.y)).collect();
-        TriMesh { positions_mm, triangles: self.face.triangles(), uv: Some(uv) }
+        self.pose(time_nanos as i64, &mut positions_mm);
+        let uv = self.scene.rest_mm().iter().map(|p| Skin::uv_of(p.x, p.y)).collect();
+        TriMesh { positions_mm, triangles: self.scene.triangles(), uv: Some(uv) }
     }
 
     /// True albedo, 255 for a white surface. For tests and reports.
@@ -237,15 +242,16 @@ impl SimWorld {
 
     /// True depth of every camera pixel at a time, mm, 0 where there is no surface. For tests and reports.
     pub fn truth_depth_mm(&mut self, time_nanos: u64) -> Vec<f32> {
-        self.face.pose(&self.posture(time_nanos as i64), &mut self.posed_mm);
-        self.renderer.depth_mm(&self.posed_mm)
+        let mut positions_mm = Vec::new();
+        self.pose(time_nanos as i64, &mut positions_mm);
+        self.renderer.depth_mm(&positions_mm)
     }
 
     /// Exposures at the start of a run reach back before time 0, so this time has a sign.
-    fn posture(&self, time_nanos: i64) -> Posture {
-        let mut posture = Posture::at(time_nanos, self.config.seed, self.config.motion);
-        posture.centre_mm += Vec3::from(self.config.velocity_mm_s) * (time_nanos as f64 * 1e-9) as f32;
-        posture
+    fn pose(&self, time_nanos: i64, out: &mut Vec<Vec3>) {
+        let posture = Posture::at(time_nanos, self.config.seed, self.config.motion);
+        let shift_mm = Vec3::from(self.config.velocity_mm_s) * (time_nanos as f64 * 1e-9) as f32;
+        self.scene.pose(&posture, shift_mm, out);
     }
 
     /// The picture of an exposure with its middle at `time_nanos` in the light of one pattern, or in the dark.
@@ -261,7 +267,9 @@ impl SimWorld {
         for k in 0..samples {
             // Middles of equal parts of the exposure.
             let offset_nanos = exposure_nanos as i64 * (2 * k + 1 - samples) / (2 * samples);
-            self.face.pose(&self.posture(time_nanos as i64 + offset_nanos), &mut self.posed_mm);
+            let mut posed_mm = std::mem::take(&mut self.posed_mm);
+            self.pose(time_nanos as i64 + offset_nanos, &mut posed_mm);
+            self.posed_mm = posed_mm;
             let shown = pattern.and_then(|p| self.patterns.get(usize::from(p.0)));
             self.renderer.add_light(&self.posed_mm, &self.skin, shown, self.config.ambient);
         }

@@ -1,11 +1,12 @@
-//! What the camera sees of the posed face while the projector shows one pattern.
+//! What the camera sees of the posed scene while the projector shows one pattern.
 //!
 //! Two z-buffers: the camera's picture, and the projector's view for shadows. Shading is Lambert with some specular light at
 //! the vertices, albedo and projected level at the pixels; then shot and read noise and 8-bit rounding.
 
-use super::face::{COLUMNS, Face};
+use super::face::COLUMNS;
 use super::noise;
 use super::raster::for_each_pixel;
+use super::scene::Scene;
 use super::skin::Skin;
 use super::{Finish, Region, SimConfig};
 use crate::light::triangulate::scan_from_camera;
@@ -23,7 +24,7 @@ const BACKGROUND: f32 = 0.002;
 /// Strength of the specular light (exponent 16) of skin, and of a shiny region: four times a white surface.
 const SPECULAR: f32 = 0.05;
 const SHINY_SPECULAR: f32 = 4.0;
-/// The shadow map has one cell for this many projector pixels each way, and every other vertex.
+/// The shadow map has one cell for this many projector pixels each way, and every other vertex of the head.
 const SHADOW_CELL_PX: f32 = 4.0;
 const SHADOW_STEP: usize = 2;
 /// Surfaces this close behind the one in the shadow map are lit, mm.
@@ -130,8 +131,16 @@ pub struct Renderer {
     projector: Lens,
     rotation: Mat3,
     translation_mm: Vec3,
+    /// The projector's centre in the scan frame.
+    light_mm: Vec3,
     /// The pixels' rays in the projector's axes.
     rays: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    /// Vertices of the shadow map's mesh, and its triangles of them.
+    shadow_vertices: Vec<u32>,
+    shadow_triangles: Vec<[u32; 3]>,
+    /// Normals of the vertices; without them those of the head's grid are taken in every posture.
+    fixed_normals: Option<Vec<Vec3>>,
     texels: Vec<[f32; 2]>,
     /// Strength of the specular light of every vertex.
     strengths: Vec<f32>,
@@ -147,11 +156,11 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Tables for a rig and a face.
+    /// Tables for a rig and a scene.
     ///
     /// # Errors
     /// [`LightError::Field`] for a calibration that cannot work.
-    pub fn new(calibration: &Calibration, face: &Face, regions: &[Region]) -> Result<Self, LightError> {
+    pub fn new(calibration: &Calibration, scene: &Scene, regions: &[Region]) -> Result<Self, LightError> {
         calibration.validate()?;
         let rotation = calibration.projector_from_camera.matrix();
         let rays: Vec<Vec3> =
@@ -159,15 +168,23 @@ impl Renderer {
         let pixels = rays.len();
         let projector = Lens::new(&calibration.projector);
         let shadow_size = projector.size_px.map(|n| (n as f32 / SHADOW_CELL_PX).ceil() as usize);
+        let (shadow_vertices, shadow_triangles) = scene.shadow_mesh(SHADOW_STEP);
+        let translation_mm = calibration.projector_from_camera.translation().as_vec3();
+        let rest_mm = scene.rest_mm();
         Ok(Self {
             camera: Lens::new(&calibration.camera),
             projector,
             rotation: rotation.as_mat3(),
-            translation_mm: calibration.projector_from_camera.translation().as_vec3(),
+            translation_mm,
+            light_mm: scan_from_camera(-(rotation.as_mat3().transpose() * translation_mm)),
             rays,
-            texels: face.rest_mm.iter().map(|p| Skin::texel_of(p.x, p.y)).collect(),
-            strengths: face.rest_mm.iter().map(|p| specular_strength(p.x, p.y, regions)).collect(),
-            corners: vec![Corner::default(); face.rest_mm.len()],
+            triangles: scene.triangles(),
+            shadow_vertices,
+            shadow_triangles,
+            fixed_normals: scene.fixed_normals().map(<[Vec3]>::to_vec),
+            texels: rest_mm.iter().map(|p| Skin::texel_of(p.x, p.y)).collect(),
+            strengths: rest_mm.iter().map(|p| specular_strength(p.x, p.y, regions)).collect(),
+            corners: vec![Corner::default(); rest_mm.len()],
             inverse_depth: vec![0.0; pixels],
             light: vec![0.0; pixels],
             instants: 0,
@@ -184,7 +201,7 @@ impl Renderer {
         self.instants = 0;
     }
 
-    /// Gathers the light of one instant, the face at `positions_mm` (scan frame); dark where the projector shows nothing.
+    /// Gathers the light of one instant, the scene at `positions_mm` (scan frame); dark where the projector shows nothing.
     pub fn add_light(&mut self, positions_mm: &[Vec3], skin: &Skin, pattern: Option<&ShownPattern>, ambient: f32) {
         self.place_corners(positions_mm);
         self.draw_shadow_map(positions_mm);
@@ -219,51 +236,52 @@ impl Renderer {
     }
 
     fn place_corners(&mut self, positions_mm: &[Vec3]) {
-        let light_mm = scan_from_camera(-(self.rotation.transpose() * self.translation_mm));
+        if let Some(normals) = self.fixed_normals.take() {
+            for (i, normal) in normals.iter().enumerate() {
+                self.place_corner(i, positions_mm[i], *normal);
+            }
+            self.fixed_normals = Some(normals);
+            return;
+        }
         let rows = positions_mm.len() / COLUMNS;
         for row in 0..rows {
             let above = &positions_mm[row.saturating_sub(1) * COLUMNS..][..COLUMNS];
             let here = &positions_mm[row * COLUMNS..][..COLUMNS];
             let below = &positions_mm[(row + 1).min(rows - 1) * COLUMNS..][..COLUMNS];
-            let corners = &mut self.corners[row * COLUMNS..][..COLUMNS];
-            for (c, corner) in corners.iter_mut().enumerate() {
-                let p = here[c];
+            for c in 0..COLUMNS {
                 let across = here[(c + 1).min(COLUMNS - 1)] - here[c.saturating_sub(1)];
                 let normal = across.cross(above[c] - below[c]).normalize_or_zero();
-                let (diffuse, specular) = shade(p, normal, light_mm, self.strengths[row * COLUMNS + c]);
-                let inverse_depth = -1.0 / p.z;
-                let px = self.camera.px(p.x * inverse_depth, -p.y * inverse_depth);
-                *corner = Corner { px, inverse_depth, texel: self.texels[row * COLUMNS + c], diffuse, specular };
+                self.place_corner(row * COLUMNS + c, here[c], normal);
             }
         }
     }
 
+    #[inline(always)]
+    fn place_corner(&mut self, i: usize, p: Vec3, normal: Vec3) {
+        let (diffuse, specular) = shade(p, normal, self.light_mm, self.strengths[i]);
+        let inverse_depth = -1.0 / p.z;
+        let px = self.camera.px(p.x * inverse_depth, -p.y * inverse_depth);
+        self.corners[i] = Corner { px, inverse_depth, texel: self.texels[i], diffuse, specular };
+    }
+
     fn draw_shadow_map(&mut self, positions_mm: &[Vec3]) {
         let [width, height] = self.shadow_size;
-        let columns = COLUMNS / SHADOW_STEP;
         self.shadow.fill(0.0);
         self.shadow_corners.clear();
-        for row in positions_mm.chunks_exact(COLUMNS).step_by(SHADOW_STEP) {
-            self.shadow_corners.extend(row.iter().step_by(SHADOW_STEP).take(columns).map(|&p| {
-                let q = self.rotation * scan_from_camera(p) + self.translation_mm;
-                let inverse = 1.0 / q.z;
-                let [x, y] = self.projector.px(q.x * inverse, q.y * inverse);
-                // Cell i holds projector pixels from i * SHADOW_CELL_PX on, so its centre is half a cell further.
-                [(x + 0.5) / SHADOW_CELL_PX - 0.5, (y + 0.5) / SHADOW_CELL_PX - 0.5, inverse]
-            }));
-        }
+        self.shadow_corners.extend(self.shadow_vertices.iter().map(|&v| {
+            let q = self.rotation * scan_from_camera(positions_mm[v as usize]) + self.translation_mm;
+            let inverse = 1.0 / q.z;
+            let [x, y] = self.projector.px(q.x * inverse, q.y * inverse);
+            // Cell i holds projector pixels from i * SHADOW_CELL_PX on, so its centre is half a cell further.
+            [(x + 0.5) / SHADOW_CELL_PX - 0.5, (y + 0.5) / SHADOW_CELL_PX - 0.5, inverse]
+        }));
         let shadow = &mut self.shadow;
-        for (top, bottom) in
-            self.shadow_corners.chunks_exact(columns).zip(self.shadow_corners.chunks_exact(columns).skip(1))
-        {
-            for c in 0..columns - 1 {
-                for t in [[top[c], bottom[c], top[c + 1]], [top[c + 1], bottom[c], bottom[c + 1]]] {
-                    for_each_pixel(t.map(|v| [v[0], v[1]]), width, height, |i, w| {
-                        let inverse = w[0] * t[0][2] + w[1] * t[1][2] + w[2] * t[2][2];
-                        shadow[i] = shadow[i].max(inverse);
-                    });
-                }
-            }
+        for triangle in &self.shadow_triangles {
+            let t = triangle.map(|v| self.shadow_corners[v as usize]);
+            for_each_pixel(t.map(|v| [v[0], v[1]]), width, height, |i, w| {
+                let inverse = w[0] * t[0][2] + w[1] * t[1][2] + w[2] * t[2][2];
+                shadow[i] = shadow[i].max(inverse);
+            });
         }
     }
 
@@ -271,23 +289,20 @@ impl Renderer {
         self.inverse_depth.fill(0.0);
         let [width, height] = self.camera.size_px;
         let (depth, seen) = (&mut self.inverse_depth, &mut self.seen);
-        for (top, bottom) in self.corners.chunks_exact(COLUMNS).zip(self.corners.chunks_exact(COLUMNS).skip(1)) {
-            for c in 0..COLUMNS - 1 {
-                for t in [[&top[c], &bottom[c], &top[c + 1]], [&top[c + 1], &bottom[c], &bottom[c + 1]]] {
-                    for_each_pixel(t.map(|v| v.px), width, height, |i, w| {
-                        let mix = |f: fn(&Corner) -> f32| w[0] * f(t[0]) + w[1] * f(t[1]) + w[2] * f(t[2]);
-                        let inverse = mix(|v| v.inverse_depth);
-                        if inverse > depth[i] {
-                            depth[i] = inverse;
-                            seen[i] = Seen {
-                                texel: [mix(|v| v.texel[0]), mix(|v| v.texel[1])],
-                                diffuse: mix(|v| v.diffuse),
-                                specular: mix(|v| v.specular),
-                            };
-                        }
-                    });
+        for triangle in &self.triangles {
+            let t = triangle.map(|v| &self.corners[v as usize]);
+            for_each_pixel(t.map(|v| v.px), width, height, |i, w| {
+                let mix = |f: fn(&Corner) -> f32| w[0] * f(t[0]) + w[1] * f(t[1]) + w[2] * f(t[2]);
+                let inverse = mix(|v| v.inverse_depth);
+                if inverse > depth[i] {
+                    depth[i] = inverse;
+                    seen[i] = Seen {
+                        texel: [mix(|v| v.texel[0]), mix(|v| v.texel[1])],
+                        diffuse: mix(|v| v.diffuse),
+                        specular: mix(|v| v.specular),
+                    };
                 }
-            }
+            });
         }
     }
 
@@ -321,7 +336,7 @@ impl Renderer {
     }
 }
 
-/// Strength of the specular light at a place of the face at rest.
+/// Strength of the specular light at a place at rest.
 fn specular_strength(x_mm: f32, y_mm: f32, regions: &[Region]) -> f32 {
     let shiny = regions.iter().filter(|r| r.finish == Finish::Shiny);
     shiny.fold(SPECULAR, |strength, r| strength + r.weight(x_mm, y_mm) * (SHINY_SPECULAR - strength))

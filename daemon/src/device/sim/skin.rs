@@ -34,16 +34,20 @@ impl Skin {
             .collect();
         let mut texels = Vec::with_capacity(WIDTH * HEIGHT);
         for i in 0..WIDTH * HEIGHT {
-            let x = (i % WIDTH) as f32 * TEXEL_MM - HALF_WIDTH_MM;
-            let y = (i / WIDTH) as f32 * TEXEL_MM - HALF_HEIGHT_MM;
+            let [x, y] = place_mm(i);
             let speckle: f32 = grains.iter().map(|(amplitude, layer)| amplitude * layer[i]).sum();
             let pore = smoothstep(1.5, 2.6, grains[1].1[i]) * pore_density(x, y);
             let skin = SKIN * tint(x, y) * (1.0 + speckle) * (1.0 - 0.22 * pore);
             let bare = with_features(x, y, skin, grains[0].1[i]).clamp(0.04, 0.95);
-            let dark = regions.iter().filter(|r| r.finish == Finish::Dark);
-            texels.push(dark.fold(bare, |albedo, r| albedo + r.weight(x, y) * (DARK - albedo)));
+            texels.push(painted(regions, [x, y], bare));
         }
         Self { texels }
+    }
+
+    /// An even grey as bright as skin, with the dark ones of `regions` painted over it.
+    pub fn even(regions: &[Region]) -> Self {
+        let texel = |i: usize| painted(regions, place_mm(i), SKIN);
+        Self { texels: (0..WIDTH * HEIGHT).map(texel).collect() }
     }
 
     /// Place of a rest position in the map, texels.
@@ -76,6 +80,17 @@ impl Skin {
         let high = t[WIDTH] + fx * (t[WIDTH + 1] - t[WIDTH]);
         low + fy * (high - low)
     }
+}
+
+/// Rest position of texel `i`.
+fn place_mm(i: usize) -> [f32; 2] {
+    [(i % WIDTH) as f32 * TEXEL_MM - HALF_WIDTH_MM, (i / WIDTH) as f32 * TEXEL_MM - HALF_HEIGHT_MM]
+}
+
+/// Albedo `bare` with the dark regions over it.
+fn painted(regions: &[Region], [x, y]: [f32; 2], bare: f32) -> f32 {
+    let dark = regions.iter().filter(|r| r.finish == Finish::Dark);
+    dark.fold(bare, |albedo, r| albedo + r.weight(x, y) * (DARK - albedo))
 }
 
 fn pore_density(x: f32, y: f32) -> f32 {
