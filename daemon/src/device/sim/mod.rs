@@ -458,7 +458,7 @@ mod tests {
     }
 
     #[test]
-    fn the_plain_head_is_the_same_to_the_byte_on_any_machine() {
+    fn the_plain_head_keeps_its_bytes() {
         assert_eq!(fingerprint(&RigConfig::simulated()), 2_854_480_801_915_274_878);
     }
 
