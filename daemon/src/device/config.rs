@@ -1,7 +1,7 @@
 //! A rig's configuration: which devices, which patterns, when, and with what calibration.
 
 use super::{CameraSettings, DeviceError, SequenceTiming, TriggerSource};
-use crate::device::sim::SimConfig;
+use crate::device::sim::{SceneConfig, SimConfig};
 use crate::light::{Calibration, Distortion, Intrinsics, Limits, PatternSequence, Rigid};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -93,6 +93,9 @@ impl RigConfig {
         let mut config: Self = toml::from_str(&text).map_err(|e| file_error(e.to_string()))?;
         if let (Some(file), Some(folder)) = (&config.calibration_file, path.parent()) {
             config.calibration_file = Some(folder.join(file));
+        }
+        if let (SceneConfig::Obj(file), Some(folder)) = (&mut config.sim.scene, path.parent()) {
+            *file = folder.join(&file);
         }
         config.validate()?;
         Ok(config)

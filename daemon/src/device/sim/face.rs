@@ -4,6 +4,7 @@
 //! Every vertex keeps its rest position (x, y) as its place in the skin ([`super::skin`]), so texture moves with the material.
 
 use super::motion::Posture;
+use super::scene::grid_triangles;
 use glam::{Vec2, Vec3};
 
 /// Vertices along a row.
@@ -207,15 +208,7 @@ impl Face {
 
     /// Triangles of the sheet, counter-clockwise seen from outside.
     pub fn triangles(&self) -> Vec<[u32; 3]> {
-        let mut triangles = Vec::with_capacity(2 * self.rest_mm.len());
-        for row in 0..self.rows() - 1 {
-            for column in 0..COLUMNS - 1 {
-                let a = (row * COLUMNS + column) as u32;
-                let (b, c, d) = (a + 1, a + COLUMNS as u32, a + COLUMNS as u32 + 1);
-                triangles.extend([[a, c, b], [b, c, d]]);
-            }
-        }
-        triangles
+        grid_triangles(COLUMNS, self.rows())
     }
 }
 
@@ -297,7 +290,7 @@ mod tests {
         let face = Face::new();
         let triangles = face.triangles();
         let mut positions = Vec::new();
-        for millis in (0..8000u64).step_by(100) {
+        for millis in (0..8000i64).step_by(100) {
             face.pose(&Posture::at(millis * 1_000_000, 1, 1.0), &mut positions);
             let folded = triangles
                 .iter()

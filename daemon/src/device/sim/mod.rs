@@ -10,21 +10,23 @@ mod noise;
 mod projector;
 mod raster;
 mod render;
+mod scene;
 mod skin;
 
 use super::{DeviceError, Frame, PatternIndex, RigConfig, SequenceTiming};
 use crate::light::PatternSequence;
-use face::Face;
 use glam::Vec3;
 use gv3_codec::{GreyPicture, mesh::TriMesh};
 use motion::Posture;
 use render::{Renderer, ShownPattern};
+use scene::Scene;
 use serde::{Deserialize, Serialize};
 use skin::Skin;
 use std::collections::VecDeque;
 
 pub use camera::SimCamera;
 pub use projector::SimProjector;
+pub use scene::SceneConfig;
 
 /// How a picture goes wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,7 +52,40 @@ pub struct Fault {
     pub picture: u32,
 }
 
-/// The simulated world's settings.
+/// What a region of the surface is like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Finish {
+    /// Hardly reflects, as hair and pupils.
+    Dark,
+    /// Reflects like something wet on top of its skin.
+    Shiny,
+}
+
+/// A round region of the surface with another finish; it moves with the material.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Region {
+    /// Its finish.
+    pub finish: Finish,
+    /// Centre at rest, to the picture's right and up, mm: on the head from the nose's root, on solids from the camera's axis.
+    pub centre_mm: [f32; 2],
+    /// Radius, mm.
+    pub radius_mm: f32,
+}
+
+impl Region {
+    /// 1 inside, 0 outside, smooth over the last millimetre.
+    fn weight(&self, x_mm: f32, y_mm: f32) -> f32 {
+        let (dx, dy) = (x_mm - self.centre_mm[0], y_mm - self.centre_mm[1]);
+        face::smoothstep(self.radius_mm, self.radius_mm - 1.0, (dx * dx + dy * dy).sqrt())
+    }
+}
+
+/// Most sub-exposures of one picture.
+const MAX_MOTION_SAMPLES: u32 = 64;
+
+/// The simulated world's settings. The effects of optics and exposure are off unless they are asked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimConfig {
@@ -64,6 +99,19 @@ pub struct SimConfig {
     pub electrons_per_level: f32,
     /// Ambient light over the projector's white.
     pub ambient: f32,
+    /// Velocity of the scene in the scan frame on top of the head's own movement, mm/s; it is in its place at time 0.
+    pub velocity_mm_s: [f32; 3],
+    /// Instants over which an exposure is integrated; 1 freezes all movement.
+    pub motion_samples: u32,
+    /// Light of the projector over its input, both 0..=1, is input to this power; 1 is linear.
+    pub projector_gamma: f32,
+    /// Standard deviation of the projector's Gaussian blur, projector pixels; 0 is sharp.
+    pub defocus_sigma_px: f32,
+    /// What stands before the scanner.
+    pub scene: SceneConfig,
+    /// Dark and shiny parts of the surface.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub regions: Vec<Region>,
     /// Pictures that go wrong.
     pub faults: Vec<Fault>,
 }
@@ -76,6 +124,12 @@ impl Default for SimConfig {
             read_noise_levels: 0.7,
             electrons_per_level: 58.0,
             ambient: 0.03,
+            velocity_mm_s: [0.0; 3],
+            motion_samples: 1,
+            projector_gamma: 1.0,
+            defocus_sigma_px: 0.0,
+            scene: SceneConfig::Head,
+            regions: Vec::new(),
             faults: Vec::new(),
         }
     }
@@ -92,10 +146,25 @@ impl SimConfig {
             ("sim.read_noise_levels", self.read_noise_levels, 0.0, 50.0),
             ("sim.electrons_per_level", self.electrons_per_level, 1e-3, 1e9),
             ("sim.ambient", self.ambient, 0.0, 10.0),
+            ("sim.velocity_mm_s[0]", self.velocity_mm_s[0], -1e4, 1e4),
+            ("sim.velocity_mm_s[1]", self.velocity_mm_s[1], -1e4, 1e4),
+            ("sim.velocity_mm_s[2]", self.velocity_mm_s[2], -1e4, 1e4),
+            ("sim.motion_samples", self.motion_samples as f32, 1.0, MAX_MOTION_SAMPLES as f32),
+            ("sim.projector_gamma", self.projector_gamma, 0.1, 10.0),
+            ("sim.defocus_sigma_px", self.defocus_sigma_px, 0.0, 100.0),
         ];
         for (field, value, low, high) in ranges {
             if !(low..=high).contains(&value) {
                 return Err(DeviceError::config(field, format!("{value} is outside {low} ..= {high}")));
+            }
+        }
+        for (i, region) in self.regions.iter().enumerate() {
+            if !region.centre_mm.iter().all(|c| c.is_finite()) {
+                return Err(DeviceError::config(format!("sim.regions[{i}].centre_mm"), "not a number"));
+            }
+            if !(1.0..=1000.0).contains(&region.radius_mm) {
+                let reason = format!("{} is outside 1 ..= 1000", region.radius_mm);
+                return Err(DeviceError::config(format!("sim.regions[{i}].radius_mm"), reason));
             }
         }
         match self.faults.iter().position(|f| f.picture as usize >= pattern_count) {
@@ -116,10 +185,10 @@ enum Shown {
     Playing { timing: SequenceTiming, start_nanos: u64 },
 }
 
-/// The world: a moving face, a rig and a clock.
+/// The world: a scene, a rig and a clock.
 pub struct SimWorld {
     config: SimConfig,
-    face: Face,
+    scene: Scene,
     skin: Skin,
     renderer: Renderer,
     posed_mm: Vec<Vec3>,
@@ -141,12 +210,12 @@ impl SimWorld {
     pub fn new(config: &RigConfig) -> Result<Self, DeviceError> {
         config.validate()?;
         let calibration = config.calibration()?;
-        let face = Face::new();
+        let scene = Scene::new(&config.sim.scene)?;
         Ok(Self {
-            renderer: Renderer::new(&calibration, &face)?,
-            skin: Skin::new(config.sim.seed),
+            renderer: Renderer::new(&calibration, &scene, &config.sim.regions)?,
+            skin: scene.skin(&config.sim),
             config: config.sim.clone(),
-            face,
+            scene,
             posed_mm: Vec::new(),
             camera_size_px: [calibration.camera.width_px, calibration.camera.height_px],
             projector_size_px: [calibration.projector.width_px, calibration.projector.height_px],
@@ -161,9 +230,9 @@ impl SimWorld {
     /// True surface at a time, scan frame, with `uv` at the places of [`Self::truth_albedo`]. For tests and reports.
     pub fn truth_mesh(&self, time_nanos: u64) -> TriMesh {
         let mut positions_mm = Vec::new();
-        self.face.pose(&self.posture(time_nanos), &mut positions_mm);
-        let uv = self.face.rest_mm.iter().map(|p| Skin::uv_of(p.x, p.y)).collect();
-        TriMesh { positions_mm, triangles: self.face.triangles(), uv: Some(uv) }
+        self.pose(time_nanos as i64, &mut positions_mm);
+        let uv = self.scene.rest_mm().iter().map(|p| Skin::uv_of(p.x, p.y)).collect();
+        TriMesh { positions_mm, triangles: self.scene.triangles(), uv: Some(uv) }
     }
 
     /// True albedo, 255 for a white surface. For tests and reports.
@@ -173,15 +242,19 @@ impl SimWorld {
 
     /// True depth of every camera pixel at a time, mm, 0 where there is no surface. For tests and reports.
     pub fn truth_depth_mm(&mut self, time_nanos: u64) -> Vec<f32> {
-        self.face.pose(&self.posture(time_nanos), &mut self.posed_mm);
-        self.renderer.depth_mm(&self.posed_mm)
+        let mut positions_mm = Vec::new();
+        self.pose(time_nanos as i64, &mut positions_mm);
+        self.renderer.depth_mm(&positions_mm)
     }
 
-    fn posture(&self, time_nanos: u64) -> Posture {
-        Posture::at(time_nanos, self.config.seed, self.config.motion)
+    /// Exposures at the start of a run reach back before time 0, so this time has a sign.
+    fn pose(&self, time_nanos: i64, out: &mut Vec<Vec3>) {
+        let posture = Posture::at(time_nanos, self.config.seed, self.config.motion);
+        let shift_mm = Vec3::from(self.config.velocity_mm_s) * (time_nanos as f64 * 1e-9) as f32;
+        self.scene.pose(&posture, shift_mm, out);
     }
 
-    /// The picture of an exposure in the light of one pattern, or in the dark.
+    /// The picture of an exposure with its middle at `time_nanos` in the light of one pattern, or in the dark.
     pub fn expose(
         &mut self,
         time_nanos: u64,
@@ -189,14 +262,24 @@ impl SimWorld {
         exposure_nanos: u64,
         picture_number: u64,
     ) -> GreyPicture {
-        self.face.pose(&self.posture(time_nanos), &mut self.posed_mm);
-        let shown = pattern.and_then(|p| self.patterns.get(usize::from(p.0)));
-        self.renderer.render(&self.posed_mm, &self.skin, shown, exposure_nanos, &self.config, picture_number)
+        let samples = i64::from(self.config.motion_samples);
+        self.renderer.clear();
+        for k in 0..samples {
+            // Middles of equal parts of the exposure.
+            let offset_nanos = exposure_nanos as i64 * (2 * k + 1 - samples) / (2 * samples);
+            let mut posed_mm = std::mem::take(&mut self.posed_mm);
+            self.pose(time_nanos as i64 + offset_nanos, &mut posed_mm);
+            self.posed_mm = posed_mm;
+            let shown = pattern.and_then(|p| self.patterns.get(usize::from(p.0)));
+            self.renderer.add_light(&self.posed_mm, &self.skin, shown, self.config.ambient);
+        }
+        self.renderer.develop(exposure_nanos, &self.config, picture_number)
     }
 
     /// Stores a sequence in the projector, which goes dark.
     pub fn load(&mut self, sequence: &PatternSequence) {
-        let shown = |(i, pattern)| ShownPattern::new(pattern, sequence.length_px(i));
+        let (gamma, sigma_px) = (self.config.projector_gamma, self.config.defocus_sigma_px);
+        let shown = |(i, pattern)| ShownPattern::new(pattern, sequence.length_px(i), gamma, sigma_px);
         self.patterns = sequence.patterns.iter().enumerate().map(shown).collect();
         self.shown = Shown::Dark;
     }
@@ -358,6 +441,106 @@ mod tests {
         let brightest = |f: &Frame| f.picture.pixels.iter().copied().max();
         assert!(brightest(&dark) < Some(30) && brightest(&lit) > Some(120));
         assert_eq!((lit.pattern, lit.device_time_nanos), (PatternIndex(2), 40_000_000));
+    }
+
+    /// Hash of pictures over three seconds in all patterns and in the dark.
+    fn fingerprint(config: &RigConfig) -> u64 {
+        let mut world = SimWorld::new(config).unwrap();
+        world.load(&config.sequence);
+        (0..13u64).fold(0, |sum, i| {
+            let pattern = (i < 12).then_some(PatternIndex((i % 6) as u16));
+            let picture = world.expose(i * 257_000_000, pattern, 5_000_000, i);
+            picture
+                .pixels
+                .chunks_exact(8)
+                .fold(sum, |sum, eight| noise::hash(sum ^ u64::from_le_bytes(eight.try_into().unwrap())))
+        })
+    }
+
+    #[test]
+    fn the_plain_head_keeps_its_bytes() {
+        assert_eq!(fingerprint(&RigConfig::simulated()), 2_854_480_801_915_274_878);
+    }
+
+    fn noiseless() -> RigConfig {
+        let mut config = RigConfig::simulated();
+        config.sim.read_noise_levels = 0.0;
+        config.sim.electrons_per_level = 1e9;
+        config
+    }
+
+    fn exposed(config: &RigConfig, time_nanos: u64, exposure_nanos: u64) -> Vec<u8> {
+        let mut world = SimWorld::new(config).unwrap();
+        world.load(&config.sequence);
+        world.expose(time_nanos, Some(PatternIndex(0)), exposure_nanos, 0).pixels
+    }
+
+    #[test]
+    fn an_edge_moving_through_the_exposure_becomes_a_ramp() {
+        let mut config = noiseless();
+        config.sim.motion = 0.0;
+        config.sim.ambient = 1.0;
+        // 2000 mm/s over 5 ms are 10 mm: 18 pixels over which the outline of the cheek sweeps.
+        config.sim.velocity_mm_s = [2000.0, 0.0, 0.0];
+        let width_px = |config: &RigConfig| {
+            let row = &exposed(config, 0, 5_000_000)[200 * 640..][..320];
+            row.iter().position(|v| *v > 60).unwrap() as i64 - row.iter().position(|v| *v > 3).unwrap() as i64
+        };
+        let sharp = width_px(&config);
+        config.sim.motion_samples = 16;
+        let swept = width_px(&config);
+        assert!(sharp <= 3 && swept >= 4, "sharp {sharp} px, swept {swept} px");
+    }
+
+    #[test]
+    fn an_integrated_exposure_is_the_mean_of_its_instants() {
+        let mut config = noiseless();
+        config.sim.velocity_mm_s = [300.0, 0.0, 0.0];
+        let instants: Vec<Vec<u8>> = (0..4).map(|k| exposed(&config, 91_250_000 + k * 2_500_000, 10_000_000)).collect();
+        config.sim.motion_samples = 4;
+        let integrated = exposed(&config, 95_000_000, 10_000_000);
+        let saturated = |i: usize| instants.iter().any(|p| p[i] == 255);
+        for (i, &found) in integrated.iter().enumerate().filter(|(i, _)| !saturated(*i)) {
+            let mean = instants.iter().map(|p| f32::from(p[i])).sum::<f32>() / 4.0;
+            assert!((f32::from(found) - mean).abs() <= 1.01, "pixel {i}: {found}, mean {mean}");
+        }
+        assert!(integrated != instants[1]);
+    }
+
+    #[test]
+    fn dark_regions_lose_their_light_and_shiny_ones_saturate() {
+        let mut config = noiseless();
+        config.sim.motion = 0.0;
+        let count = |config: &RigConfig, hit: fn(u8) -> bool| {
+            exposed(config, 0, 5_000_000).iter().filter(|v| hit(**v)).count() as i64
+        };
+        let (dim, white) = (|v| v <= 12, |v| v >= 252);
+        let (few_dim, few_white) = (count(&config, dim), count(&config, white));
+        // A disc of 10 mm on the forehead, 315 mm^2, is about 1000 pixels; half of it or more is in the bright halves of fringes.
+        config.sim.regions = vec![Region { finish: Finish::Dark, centre_mm: [0.0, 60.0], radius_mm: 10.0 }];
+        let dark = count(&config, dim) - few_dim;
+        assert!((300..1400).contains(&dark), "{dark} dark pixels");
+        config.sim.regions[0].finish = Finish::Shiny;
+        let shiny = count(&config, white) - few_white;
+        assert!((200..1400).contains(&shiny), "{shiny} saturated pixels");
+    }
+
+    #[test]
+    fn effects_out_of_range_are_refused_by_name() {
+        let error = |change: fn(&mut SimConfig)| {
+            let mut config = SimConfig::default();
+            change(&mut config);
+            config.validate(6).unwrap_err().to_string()
+        };
+        assert!(error(|c| c.projector_gamma = 0.0).starts_with("sim.projector_gamma"));
+        assert!(error(|c| c.defocus_sigma_px = f32::NAN).starts_with("sim.defocus_sigma_px"));
+        assert!(error(|c| c.motion_samples = 0).starts_with("sim.motion_samples"));
+        assert!(error(|c| c.velocity_mm_s[2] = f32::INFINITY).starts_with("sim.velocity_mm_s[2]"));
+        let region = |centre_mm, radius_mm| Region { finish: Finish::Dark, centre_mm, radius_mm };
+        let refused =
+            |r: Region| SimConfig { regions: vec![r], ..SimConfig::default() }.validate(6).unwrap_err().to_string();
+        assert!(refused(region([0.0, f32::NAN], 5.0)).starts_with("sim.regions[0].centre_mm"));
+        assert!(refused(region([0.0, 0.0], 0.0)).starts_with("sim.regions[0].radius_mm"));
     }
 
     #[test]

@@ -39,7 +39,7 @@ fn swing(t: f32, hertz: f32) -> f32 {
 
 impl Posture {
     /// The posture at a time; `amount` scales all movement, `seed` sets the head's sway.
-    pub fn at(time_nanos: u64, seed: u64, amount: f32) -> Self {
+    pub fn at(time_nanos: i64, seed: u64, amount: f32) -> Self {
         let t = (time_nanos as f64 * 1e-9) as f32;
         let speech = amount * smoothstep(0.1, 0.6, swing(t, 1.0 / PHRASE_SECONDS));
         let syllable = swing(t + 0.13 * (TAU * 0.61 * t).sin(), 2.1);
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn motion_has_no_jumps_in_value_or_speed_and_starts_at_rest() {
-        let values = |millis: u64| {
+        let values = |millis: i64| {
             let p = Posture::at(millis * 1_000_000, 3, 1.0);
             [p.jaw_rad * 10.0, p.smile, p.pucker, p.blink, p.brow, p.centre_mm.x, p.rotation.x_axis.z * 10.0]
         };

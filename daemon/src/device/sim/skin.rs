@@ -2,6 +2,7 @@
 
 use super::face::{self, EYE_X_MM, EYE_Y_MM, bump, smoothstep};
 use super::noise;
+use super::{Finish, Region};
 use gv3_codec::GreyPicture;
 
 /// Size of a texel, mm.
@@ -13,6 +14,8 @@ const WIDTH: usize = 480;
 const HEIGHT: usize = 620;
 /// Albedo of bare skin.
 const SKIN: f32 = 0.6;
+/// Albedo of a dark region.
+const DARK: f32 = 0.02;
 
 /// Albedo 0..1 over rest positions, row-major, first row lowest.
 #[derive(Debug, Clone)]
@@ -21,8 +24,8 @@ pub struct Skin {
 }
 
 impl Skin {
-    /// The skin grown from a seed.
-    pub fn new(seed: u64) -> Self {
+    /// The skin grown from a seed, with the dark ones of `regions` painted over it.
+    pub fn new(seed: u64, regions: &[Region]) -> Self {
         // Grain of 0.5 to 4.5 mm: from one to eight camera pixels.
         let grains: Vec<(f32, Vec<f32>)> = [(1usize, 0.045f32), (2, 0.045), (5, 0.04), (11, 0.035)]
             .iter()
@@ -31,14 +34,20 @@ impl Skin {
             .collect();
         let mut texels = Vec::with_capacity(WIDTH * HEIGHT);
         for i in 0..WIDTH * HEIGHT {
-            let x = (i % WIDTH) as f32 * TEXEL_MM - HALF_WIDTH_MM;
-            let y = (i / WIDTH) as f32 * TEXEL_MM - HALF_HEIGHT_MM;
+            let [x, y] = place_mm(i);
             let speckle: f32 = grains.iter().map(|(amplitude, layer)| amplitude * layer[i]).sum();
             let pore = smoothstep(1.5, 2.6, grains[1].1[i]) * pore_density(x, y);
             let skin = SKIN * tint(x, y) * (1.0 + speckle) * (1.0 - 0.22 * pore);
-            texels.push(with_features(x, y, skin, grains[0].1[i]).clamp(0.04, 0.95));
+            let bare = with_features(x, y, skin, grains[0].1[i]).clamp(0.04, 0.95);
+            texels.push(painted(regions, [x, y], bare));
         }
         Self { texels }
+    }
+
+    /// An even grey as bright as skin, with the dark ones of `regions` painted over it.
+    pub fn even(regions: &[Region]) -> Self {
+        let texel = |i: usize| painted(regions, place_mm(i), SKIN);
+        Self { texels: (0..WIDTH * HEIGHT).map(texel).collect() }
     }
 
     /// Place of a rest position in the map, texels.
@@ -71,6 +80,17 @@ impl Skin {
         let high = t[WIDTH] + fx * (t[WIDTH + 1] - t[WIDTH]);
         low + fy * (high - low)
     }
+}
+
+/// Rest position of texel `i`.
+fn place_mm(i: usize) -> [f32; 2] {
+    [(i % WIDTH) as f32 * TEXEL_MM - HALF_WIDTH_MM, (i / WIDTH) as f32 * TEXEL_MM - HALF_HEIGHT_MM]
+}
+
+/// Albedo `bare` with the dark regions over it.
+fn painted(regions: &[Region], [x, y]: [f32; 2], bare: f32) -> f32 {
+    let dark = regions.iter().filter(|r| r.finish == Finish::Dark);
+    dark.fold(bare, |albedo, r| albedo + r.weight(x, y) * (DARK - albedo))
 }
 
 fn pore_density(x: f32, y: f32) -> f32 {
@@ -143,7 +163,7 @@ mod tests {
 
     #[test]
     fn bare_skin_has_the_contrast_that_tracking_needs() {
-        let skin = Skin::new(1);
+        let skin = Skin::new(1, &[]);
         let sample = |x: f32, y: f32| skin.albedo(Skin::texel_of(x, y));
         let forehead: Vec<f32> = (0..4000).map(|i| sample((i % 80) as f32 - 40.0, 60.0 + (i / 80) as f32)).collect();
         let mean = forehead.iter().sum::<f32>() / 4000.0;
@@ -154,7 +174,7 @@ mod tests {
 
     #[test]
     fn seeds_differ_and_repeat() {
-        assert_eq!(Skin::new(4).texels, Skin::new(4).texels);
-        assert_ne!(Skin::new(4).texels, Skin::new(5).texels);
+        assert_eq!(Skin::new(4, &[]).texels, Skin::new(4, &[]).texels);
+        assert_ne!(Skin::new(4, &[]).texels, Skin::new(5, &[]).texels);
     }
 }
