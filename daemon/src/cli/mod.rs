@@ -8,6 +8,7 @@ mod demo;
 mod encode;
 mod info;
 mod measure;
+mod patterns;
 mod progress;
 mod recover;
 mod verify;
@@ -44,6 +45,7 @@ enum Command {
     Verify(verify::Verify),
     Recover(recover::Recover),
     Measure(measure::Measure),
+    Patterns(patterns::Patterns),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -83,6 +85,7 @@ pub fn main() -> ExitCode {
         Command::Verify(c) => c.run(),
         Command::Recover(c) => c.run(),
         Command::Measure(c) => c.run(),
+        Command::Patterns(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

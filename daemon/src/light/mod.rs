@@ -1,10 +1,13 @@
 //! Structured light: patterns out, pictures in, surface out. Knows no device and no clock.
 
 pub mod calibration;
+pub mod dither;
 pub mod grid_mesh;
 pub mod mask;
 pub mod pattern;
+mod pattern_text;
 pub mod phase;
+mod schemes;
 pub mod triangulate;
 pub mod unwrap;
 
@@ -13,7 +16,7 @@ use serde::{Deserialize, Serialize};
 pub use calibration::{Calibration, Distortion, Intrinsics, Rigid};
 pub use grid_mesh::{GridMesher, MeshLimits};
 pub use mask::{MaskLimits, PixelMask, RejectedPixels, Rejection};
-pub use pattern::{Direction, Pattern, PatternSequence};
+pub use pattern::{Direction, Pattern, PatternKind, PatternSequence};
 pub use phase::{PhaseExtractor, WrappedPhase};
 pub use triangulate::{PointGrid, Triangulator};
 pub use unwrap::Unwrapper;

@@ -3,10 +3,11 @@
 //! For I_n = A + B cos(phi + shift_n), shifts dividing the circle evenly:
 //! phi = -atan2(sum I_n sin shift_n, sum I_n cos shift_n), B = 2/N |(sum sin, sum cos)|, A = mean I_n
 //! (Creath, "Phase-measurement interferometry techniques", Progress in Optics 26, 1988, least squares form).
-//! Its noise is sqrt(2/N) sigma / B for grey-level noise sigma.
+//! 2+1 (two sinusoids and the half level) is the exact solution of the same model. The noise of N steps is sqrt(2/N) sigma / B for grey-level noise sigma.
 
 use super::mask::{MaskLimits, PixelMask, Rejection};
 use super::{LightError, Pattern};
+use glam::{DMat3, DVec3};
 use gv3_codec::GreyPicture;
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -54,6 +55,8 @@ impl WrappedPhase {
 pub struct PhaseExtractor {
     sines: Vec<f32>,
     cosines: Vec<f32>,
+    /// Weight of every picture in the background, times their number.
+    levels: Vec<f32>,
     limits: MaskLimits,
 }
 
@@ -76,9 +79,35 @@ impl PhaseExtractor {
         if burst.len() < 3 {
             return Err(LightError::field("sequence.patterns", "a burst needs three or more patterns"));
         }
+        let shifts: Vec<Option<f64>> = burst.iter().map(Pattern::shift_rad).collect();
+        let Some(evenly) = shifts.iter().copied().collect::<Option<Vec<f64>>>() else {
+            return Self::by_least_squares(&shifts, limits);
+        };
         Ok(Self {
-            sines: burst.iter().map(|p| p.shift_rad.sin() as f32).collect(),
-            cosines: burst.iter().map(|p| p.shift_rad.cos() as f32).collect(),
+            sines: evenly.iter().map(|shift_rad| shift_rad.sin() as f32).collect(),
+            cosines: evenly.iter().map(|shift_rad| shift_rad.cos() as f32).collect(),
+            levels: vec![1.0; evenly.len()],
+            limits,
+        })
+    }
+
+    /// Weights for pictures whose shifts do not divide the circle evenly; without a shift a picture shows the half level.
+    fn by_least_squares(shifts: &[Option<f64>], limits: MaskLimits) -> Result<Self, LightError> {
+        // I_n = A + (B cos phi) cos shift_n - (B sin phi) sin shift_n.
+        let row = |shift: &Option<f64>| shift.map_or(DVec3::X, |s: f64| DVec3::new(1.0, s.cos(), -s.sin()));
+        let normal =
+            shifts.iter().map(row).fold(DMat3::ZERO, |sum, r| sum + DMat3::from_cols(r * r.x, r * r.y, r * r.z));
+        if normal.determinant().abs() < 1e-6 {
+            return Err(LightError::field("sequence.patterns", "the shifts of a burst do not determine its phase"));
+        }
+        let inverse = normal.inverse();
+        // The kernel expects sums as of N even steps: N/2 times the amplitudes, N times the background.
+        let count = shifts.len() as f64;
+        let weights: Vec<DVec3> = shifts.iter().map(|shift| inverse * row(shift) * count).collect();
+        Ok(Self {
+            sines: weights.iter().map(|w| (-0.5 * w.z) as f32).collect(),
+            cosines: weights.iter().map(|w| (0.5 * w.y) as f32).collect(),
+            levels: weights.iter().map(|w| w.x as f32).collect(),
             limits,
         })
     }
@@ -113,7 +142,8 @@ impl PhaseExtractor {
         sums.cosine.fill(0.0);
         sums.level.fill(0.0);
         sums.peak.fill(0);
-        for (picture, (&sine, &cosine)) in pictures.iter().zip(self.sines.iter().zip(&self.cosines)) {
+        let weights = self.sines.iter().zip(&self.cosines).zip(&self.levels);
+        for (picture, ((&sine, &cosine), &weight)) in pictures.iter().zip(weights) {
             let row = &picture.pixels[start..start + w];
             let trig = sums.sine.iter_mut().zip(sums.cosine.iter_mut());
             for ((&pixel, (s, c)), (level, peak)) in
@@ -122,7 +152,7 @@ impl PhaseExtractor {
                 let grey = f32::from(pixel);
                 *s += sine * grey;
                 *c += cosine * grey;
-                *level += grey;
+                *level += weight * grey;
                 *peak = (*peak).max(pixel);
             }
         }
@@ -198,7 +228,7 @@ mod tests {
             let b = a * ratio.min((250.0 - a) / a);
             let pictures: Vec<GreyPicture> = burst(steps)
                 .iter()
-                .map(|p| GreyPicture::filled(8, 2, (a + b * (phi + p.shift_rad).cos()).round() as u8))
+                .map(|p| GreyPicture::filled(8, 2, (a + b * (phi + p.shift_rad().unwrap()).cos()).round() as u8))
                 .collect();
             let (out, mask) = extract(&pictures, MaskLimits::default());
             // Rounding errs by at most half a level a picture.
@@ -238,7 +268,7 @@ mod tests {
             let pictures: Vec<GreyPicture> = burst(steps)
                 .iter()
                 .map(|p| {
-                    let clean = |i: usize| a + b * (i as f64 * 0.37 + p.shift_rad).cos();
+                    let clean = |i: usize| a + b * (i as f64 * 0.37 + p.shift_rad().unwrap()).cos();
                     let pixels = (0..n).map(|i| (clean(i) + sigma * normal()).round() as u8).collect();
                     GreyPicture::new(n as u32, 1, pixels)
                 })
