@@ -1,8 +1,12 @@
 //! Structured light: patterns out, pictures in, surface out. Knows no device and no clock.
 
+pub mod absolute;
 pub mod calibration;
+mod calibration_json;
 pub mod dither;
+pub mod gray_code;
 pub mod grid_mesh;
+pub mod intersect;
 pub mod mask;
 pub mod pattern;
 mod pattern_text;
@@ -13,8 +17,11 @@ pub mod unwrap;
 
 use serde::{Deserialize, Serialize};
 
+pub use absolute::AbsoluteDecoder;
 pub use calibration::{Calibration, Distortion, Intrinsics, Rigid};
+pub use gray_code::{GrayCodes, GrayDecoder};
 pub use grid_mesh::{GridMesher, MeshLimits};
+pub use intersect::{ProjectorCoordinates, intersect};
 pub use mask::{MaskLimits, PixelMask, RejectedPixels, Rejection};
 pub use pattern::{Direction, Pattern, PatternKind, PatternSequence};
 pub use phase::{PhaseExtractor, WrappedPhase};
