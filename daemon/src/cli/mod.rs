@@ -10,6 +10,7 @@ mod info;
 mod measure;
 mod patterns;
 mod progress;
+mod reconstruct;
 mod recover;
 mod verify;
 
@@ -43,6 +44,7 @@ enum Command {
     Decode(decode::Decode),
     Info(info::Info),
     Verify(verify::Verify),
+    Reconstruct(reconstruct::Reconstruct),
     Recover(recover::Recover),
     Measure(measure::Measure),
     Patterns(patterns::Patterns),
@@ -83,6 +85,7 @@ pub fn main() -> ExitCode {
         Command::Decode(c) => c.run(),
         Command::Info(c) => c.run(),
         Command::Verify(c) => c.run(),
+        Command::Reconstruct(c) => c.run(),
         Command::Recover(c) => c.run(),
         Command::Measure(c) => c.run(),
         Command::Patterns(c) => c.run(),
