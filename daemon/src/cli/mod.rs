@@ -8,7 +8,9 @@ mod demo;
 mod encode;
 mod info;
 mod measure;
+mod patterns;
 mod progress;
+mod reconstruct;
 mod recover;
 mod verify;
 
@@ -42,8 +44,10 @@ enum Command {
     Decode(decode::Decode),
     Info(info::Info),
     Verify(verify::Verify),
+    Reconstruct(reconstruct::Reconstruct),
     Recover(recover::Recover),
     Measure(measure::Measure),
+    Patterns(patterns::Patterns),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -81,8 +85,10 @@ pub fn main() -> ExitCode {
         Command::Decode(c) => c.run(),
         Command::Info(c) => c.run(),
         Command::Verify(c) => c.run(),
+        Command::Reconstruct(c) => c.run(),
         Command::Recover(c) => c.run(),
         Command::Measure(c) => c.run(),
+        Command::Patterns(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

@@ -186,6 +186,7 @@ fn simulated_calibration() -> Calibration {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::light::{Direction, Pattern};
 
     #[test]
     fn toml_round_trip() {
@@ -225,7 +226,10 @@ mod tests {
         assert!(error(|c| c.camera.width_px = 320).starts_with("camera.width_px"));
         assert!(error(|c| c.timing.exposure_nanos = 9_000_000).starts_with("timing.exposure_nanos"));
         assert!(error(|c| c.calibration = None).starts_with("calibration"));
-        assert!(error(|c| c.sequence.patterns[4].period_px = f64::NAN).contains("patterns[4].period_px"));
+        assert!(
+            error(|c| c.sequence.patterns[4] = Pattern::sinusoid(f64::NAN, 0.0, Direction::Columns))
+                .contains("patterns[4].period_px")
+        );
         assert!(error(|c| c.limits.depth.far_mm = 10.0).starts_with("depth.far_mm"));
         assert!(error(|c| c.sim.electrons_per_level = 0.0).starts_with("sim.electrons_per_level"));
     }

@@ -11,12 +11,14 @@ mod error;
 pub mod obj;
 pub mod picture;
 pub mod ply;
+pub mod raw_folder;
 pub mod scan_export;
 pub mod scan_folder;
 mod spool;
 
 pub use assemble::{MeshFile, Repairs};
 pub use error::{FileError, Result};
+pub use raw_folder::RawFolder;
 pub use scan_export::{ExportFormat, ExportWriter};
 pub use scan_folder::{LoadedScan, ScanFolder};
 pub use spool::ScanSpool;

@@ -24,10 +24,19 @@ pub enum Rejection {
     DepthRange,
     /// Measured, but in no triangle that was kept.
     Unmeshed,
+    /// Not lit by the projector: hardly brighter in white than in black.
+    Shadow,
+    /// Two or more bits of the Gray code cannot be told.
+    UncertainBit,
+    /// A Gray code of no projector pixel.
+    CodeRange,
+    /// Projector column and row are not on the pixel's epipolar line.
+    Epipolar,
 }
 
 /// Rejected pixels of one scan, by cause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct RejectedPixels {
     /// A picture reached the top of its range.
     pub saturated: u64,
@@ -43,6 +52,14 @@ pub struct RejectedPixels {
     pub depth_range: u64,
     /// In no triangle: at a depth jump, grazing, or in a speck.
     pub unmeshed: u64,
+    /// Not lit by the projector.
+    pub shadow: u64,
+    /// Two or more bits of the Gray code cannot be told.
+    pub uncertain_bit: u64,
+    /// A Gray code of no projector pixel.
+    pub code_range: u64,
+    /// Projector column and row off the epipolar line.
+    pub epipolar: u64,
 }
 
 impl std::ops::AddAssign for RejectedPixels {
@@ -54,6 +71,10 @@ impl std::ops::AddAssign for RejectedPixels {
         self.fringe_order += other.fringe_order;
         self.depth_range += other.depth_range;
         self.unmeshed += other.unmeshed;
+        self.shadow += other.shadow;
+        self.uncertain_bit += other.uncertain_bit;
+        self.code_range += other.code_range;
+        self.epipolar += other.epipolar;
     }
 }
 
@@ -67,6 +88,10 @@ impl RejectedPixels {
             + self.fringe_order
             + self.depth_range
             + self.unmeshed
+            + self.shadow
+            + self.uncertain_bit
+            + self.code_range
+            + self.epipolar
     }
 }
 
@@ -170,7 +195,7 @@ impl PixelMask {
 
     /// Counts the rejected pixels by cause.
     pub fn count(&self) -> RejectedPixels {
-        let mut histogram = [0u64; 8];
+        let mut histogram = [0u64; 12];
         for v in &self.verdicts {
             histogram[*v as usize] += 1;
         }
@@ -183,6 +208,10 @@ impl PixelMask {
             fringe_order: of(Rejection::FringeOrder),
             depth_range: of(Rejection::DepthRange),
             unmeshed: of(Rejection::Unmeshed),
+            shadow: of(Rejection::Shadow),
+            uncertain_bit: of(Rejection::UncertainBit),
+            code_range: of(Rejection::CodeRange),
+            epipolar: of(Rejection::Epipolar),
         }
     }
 }

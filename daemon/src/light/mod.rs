@@ -1,19 +1,29 @@
 //! Structured light: patterns out, pictures in, surface out. Knows no device and no clock.
 
+pub mod absolute;
 pub mod calibration;
+mod calibration_json;
+pub mod dither;
+pub mod gray_code;
 pub mod grid_mesh;
+pub mod intersect;
 pub mod mask;
 pub mod pattern;
+mod pattern_text;
 pub mod phase;
+mod schemes;
 pub mod triangulate;
 pub mod unwrap;
 
 use serde::{Deserialize, Serialize};
 
+pub use absolute::AbsoluteDecoder;
 pub use calibration::{Calibration, Distortion, Intrinsics, Rigid};
+pub use gray_code::{GrayCodes, GrayDecoder};
 pub use grid_mesh::{GridMesher, MeshLimits};
+pub use intersect::{ProjectorCoordinates, intersect};
 pub use mask::{MaskLimits, PixelMask, RejectedPixels, Rejection};
-pub use pattern::{Direction, Pattern, PatternSequence};
+pub use pattern::{Direction, Pattern, PatternKind, PatternSequence};
 pub use phase::{PhaseExtractor, WrappedPhase};
 pub use triangulate::{PointGrid, Triangulator};
 pub use unwrap::Unwrapper;

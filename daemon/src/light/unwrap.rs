@@ -38,8 +38,8 @@ impl Unwrapper {
         calibration.validate()?;
         depth.validate()?;
         let (low, high) = sequence.low_and_high()?;
-        let low_period_px = sequence.patterns[low.start].period_px;
-        let high_period_px = sequence.patterns[high.start].period_px;
+        let low_period_px = sequence.burst_period_px(&low);
+        let high_period_px = sequence.burst_period_px(&high);
         let mut widest_px = 0.0f64;
         let mut middle_periods = Vec::new();
         for ray in calibration.camera.ray_table("camera")? {

@@ -3,7 +3,9 @@
 pub mod frame_set;
 pub mod reconstruct;
 pub mod record;
+pub mod still;
 
 pub use frame_set::{DropCounts, FrameSet, FrameSetAssembler};
 pub use reconstruct::{Reconstruction, Reconstructor};
 pub use record::{RecordError, RecordSettings, Recorded, record};
+pub use still::StillReconstructor;
