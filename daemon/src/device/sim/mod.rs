@@ -443,25 +443,6 @@ mod tests {
         assert_eq!((lit.pattern, lit.device_time_nanos), (PatternIndex(2), 40_000_000));
     }
 
-    /// Hash of pictures over three seconds in all patterns and in the dark.
-    fn fingerprint(config: &RigConfig) -> u64 {
-        let mut world = SimWorld::new(config).unwrap();
-        world.load(&config.sequence);
-        (0..13u64).fold(0, |sum, i| {
-            let pattern = (i < 12).then_some(PatternIndex((i % 6) as u16));
-            let picture = world.expose(i * 257_000_000, pattern, 5_000_000, i);
-            picture
-                .pixels
-                .chunks_exact(8)
-                .fold(sum, |sum, eight| noise::hash(sum ^ u64::from_le_bytes(eight.try_into().unwrap())))
-        })
-    }
-
-    #[test]
-    fn the_plain_head_keeps_its_bytes() {
-        assert_eq!(fingerprint(&RigConfig::simulated()), 2_854_480_801_915_274_878);
-    }
-
     fn noiseless() -> RigConfig {
         let mut config = RigConfig::simulated();
         config.sim.read_noise_levels = 0.0;

@@ -364,7 +364,7 @@ mod tests {
 
     /// Amplitude of the harmonic `order` of a pattern of period 24 px, away from the projector's edges.
     fn amplitude(order: f64, gamma: f32, sigma_px: f32) -> f64 {
-        let pattern = Pattern { period_px: 24.0, shift_rad: 0.3, direction: Direction::Columns };
+        let pattern = Pattern::sinusoid(24.0, 0.3, Direction::Columns);
         let shown = ShownPattern::new(&pattern, 480, gamma, sigma_px);
         let (s, c) = (0..240).fold((0.0, 0.0), |(s, c), u| {
             let angle = TAU * order * f64::from(u) / 24.0;
