@@ -86,7 +86,13 @@ impl Reconstruct {
         let Reconstruction { scan, rejected } =
             reconstructor.reconstruct(&pictures).map_err(|e| named(e, &self.folder, &names))?;
         if scan.mesh.triangles.is_empty() {
-            bail!("{}: no surface; rejected pixels: {}", self.folder.display(), describe(&rejected)?);
+            let DepthRange { near_mm, far_mm } = limits.depth;
+            bail!(
+                "{}: no surface between {near_mm} and {far_mm} mm (near_mm and far_mm of [limits.depth] in {}); rejected pixels: {}",
+                self.folder.display(),
+                self.sequence.display(),
+                describe(&rejected)?
+            );
         }
         let format = match self.format {
             Format::Obj => ExportFormat::Obj,
