@@ -317,7 +317,7 @@ mod tests {
         fn no_trouble_ever_mixes_a_set(
             troubles in prop::collection::vec((0usize..120, prop_oneof![
                 Just(Trouble::Lose), Just(Trouble::Double), Just(Trouble::Delay), Just(Trouble::Swap), Just(Trouble::Relabel)
-            ]), 0..7)
+            ]), 0..12)
         ) {
             let mut frames: Vec<Frame> = (0..120).map(frame).collect();
             let mut touched = std::collections::BTreeSet::new();
