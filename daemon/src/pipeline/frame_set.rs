@@ -324,7 +324,7 @@ mod tests {
             // Promises about ticks and about the sets around hold for one trouble at a time.
             let mut places: Vec<usize> = troubles.iter().map(|t| t.0).collect();
             places.sort_unstable();
-            let is_sparse = places.windows(2).all(|w| w[1] - w[0] > 18);
+            let is_sparse = places.windows(2).all(|w| w[1] - w[0] > 6);
             for (at, trouble) in troubles {
                 let at = at % frames.len();
                 let end = (at + 1).min(frames.len() - 1);
