@@ -43,7 +43,7 @@ pub struct Decode {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Format {
+pub(super) enum Format {
     /// OBJ with a BMP and an MTL that joins them.
     Obj,
     /// Binary PLY with a PNG.

@@ -1,6 +1,7 @@
 //! `gv3 reconstruct`: pattern pictures become a scan.
 
 use super::Outcome;
+use super::decode::Format;
 use super::progress::human_bytes;
 use crate::files::picture::{PictureFormat, read_picture};
 use crate::files::{ExportFormat, ExportWriter, RawFolder};
@@ -8,7 +9,7 @@ use crate::light::{Calibration, DepthRange, LightError, Limits, RejectedPixels};
 use crate::pipeline::record::write_group;
 use crate::pipeline::{Reconstruction, StillReconstructor};
 use anyhow::{Context, Result, bail};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use gv3_codec::Scan;
 use gv3_codec::seed::{Encoder, EncoderConfig};
 use gv3_protocol::AtomicFile;
@@ -51,14 +52,6 @@ pub struct Reconstruct {
     /// Report as JSON.
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// OBJ with a BMP and an MTL that joins them.
-    Obj,
-    /// Binary PLY with a PNG.
-    Ply,
 }
 
 #[derive(Debug, Serialize)]
