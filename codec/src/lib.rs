@@ -13,6 +13,7 @@ pub mod param;
 mod picture;
 mod scan;
 pub mod seed;
+pub mod shot;
 mod stream_header;
 pub mod texture;
 

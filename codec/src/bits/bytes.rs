@@ -50,6 +50,11 @@ impl<'a> ByteReader<'a> {
         CodecError::Payload { section: self.section, offset: self.at, reason: reason.into() }
     }
 
+    /// An error at another offset.
+    pub fn error_at(&self, offset: usize, reason: impl Into<String>) -> CodecError {
+        CodecError::Payload { section: self.section, offset, reason: reason.into() }
+    }
+
     /// Bytes not read yet.
     pub fn remaining(&self) -> usize {
         self.bytes.len() - self.at

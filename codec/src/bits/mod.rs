@@ -3,3 +3,4 @@
 pub mod attributes;
 pub mod bytes;
 pub mod connectivity;
+pub mod range_coder;

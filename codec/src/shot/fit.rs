@@ -1,0 +1,210 @@
+//! Point-to-plane normal equations of a motion lattice, level by level.
+//!
+//! Distances along the scan's normals are shape (Chen, Medioni: Object modelling by registration of multiple range images,
+//! 1992); motion within the surface is held by tracked points and by a pull to what was predicted.
+
+use super::base::Base;
+use super::lattice::{FINE_SIDE, GRID_SIDE, LEVEL_SIDES, span_of};
+use super::base_fit::fine_weights;
+use super::UNITS_PER_MM;
+use glam::{DMat3, DVec3};
+
+/// Nodes that a node's basis function overlaps, a side.
+const STENCIL: usize = 7;
+
+/// One equation: the displacement at a grid node along `direction` should be `distance_mm` more.
+#[derive(Debug, Clone, Copy)]
+pub struct Equation {
+    /// Grid position of the base point.
+    pub grid: [f64; 2],
+    /// Unit vector in base coordinates.
+    pub direction: DVec3,
+    /// What is missing along it, mm.
+    pub distance_mm: f64,
+    /// Weight.
+    pub weight: f64,
+}
+
+/// Normal equations of one level in space coordinates, mm.
+#[derive(Debug, Clone)]
+pub struct LevelSystem {
+    /// Nodes a side.
+    pub side: usize,
+    /// For each node 7x7 blocks: how a node beside pulls at it.
+    blocks: Vec<[f32; 6]>,
+}
+
+impl LevelSystem {
+    /// An empty system.
+    pub fn new(side: usize) -> Self {
+        Self { side, blocks: vec![[0.0; 6]; side * side * STENCIL * STENCIL] }
+    }
+
+    fn block(&self, node: usize, dx: usize, dy: usize) -> &[f32; 6] {
+        &self.blocks[(node * STENCIL + dy) * STENCIL + dx]
+    }
+
+    /// Adds `weight * direction directionᵀ` for all pairs of the 16 nodes around a point.
+    pub fn add(&mut self, e: &Equation) {
+        let (sx, wx) = self.axis(e.grid[0]);
+        let (sy, wy) = self.axis(e.grid[1]);
+        let d = e.direction * e.weight;
+        let outer = [
+            d.x * e.direction.x,
+            d.x * e.direction.y,
+            d.x * e.direction.z,
+            d.y * e.direction.y,
+            d.y * e.direction.z,
+            d.z * e.direction.z,
+        ]
+        .map(|v| v as f32);
+        for (j, i) in (0..4).flat_map(|j| (0..4).map(move |i| (j, i))) {
+            let a = (wx[i] * wy[j]) as f32;
+            let scaled = outer.map(|o| o * a);
+            let node = (sy + j) * self.side + sx + i;
+            for jj in 0..4 {
+                let row = (node * STENCIL + jj + 3 - j) * STENCIL + 3 - i;
+                for ii in 0..4 {
+                    let b = (wx[ii] * wy[jj]) as f32;
+                    for (block, o) in self.blocks[row + ii].iter_mut().zip(&scaled) {
+                        *block += o * b;
+                    }
+                }
+            }
+        }
+    }
+
+    fn axis(&self, grid: f64) -> (usize, [f64; 4]) {
+        let cells = 256.0 / (self.side - 3) as f64;
+        let span = ((grid / cells) as usize).min(self.side - 4);
+        let t = grid / cells - span as f64;
+        let q = 1.0 - t;
+        (span, [q * q * q, 3.0 * t * t * t - 6.0 * t * t + 4.0, 3.0 * q * q * q - 6.0 * q * q + 4.0, t * t * t].map(|w| w / 6.0))
+    }
+
+    /// Adds `weight` times the squared second differences of neighbouring nodes, all directions alike.
+    pub fn add_bending(&mut self, weight: f32) {
+        let n = self.side;
+        for y in 0..n {
+            for x in 1..n - 1 {
+                self.add_difference([(x - 1, y), (x, y), (x + 1, y)], weight);
+                self.add_difference([(y, x - 1), (y, x), (y, x + 1)], weight);
+            }
+        }
+    }
+
+    fn add_difference(&mut self, nodes: [(usize, usize); 3], weight: f32) {
+        let w = [1.0, -2.0, 1.0];
+        for (a, &(xa, ya)) in nodes.iter().enumerate() {
+            for (b, &(xb, yb)) in nodes.iter().enumerate() {
+                let at = ((ya * self.side + xa) * STENCIL + yb + 3 - ya) * STENCIL + xb + 3 - xa;
+                for k in [0, 3, 5] {
+                    self.blocks[at][k] += weight * w[a] * w[b];
+                }
+            }
+        }
+    }
+
+    /// Adds `weight` to the diagonal.
+    pub fn add_pull(&mut self, weight: f32) {
+        for node in 0..self.side * self.side {
+            let at = (node * STENCIL + 3) * STENCIL + 3;
+            for k in [0, 3, 5] {
+                self.blocks[at][k] += weight;
+            }
+        }
+    }
+
+    /// `vᵀ A v` of a vector at one node.
+    pub fn curvature(&self, node: usize, v: DVec3) -> f64 {
+        v.dot(multiply(self.block(node, 3, 3), v))
+    }
+
+    /// Subtracts `A` times a change `v` at one node from a gradient.
+    pub fn subtract(&self, node: usize, v: DVec3, gradient: &mut [DVec3]) {
+        let (x, y) = (node % self.side, node / self.side);
+        for dy in 0..STENCIL {
+            let Some(yy) = (y + dy).checked_sub(3).filter(|v| *v < self.side) else { continue };
+            for dx in 0..STENCIL {
+                let Some(xx) = (x + dx).checked_sub(3).filter(|v| *v < self.side) else { continue };
+                gradient[yy * self.side + xx] -= multiply(self.block(node, dx, dy), v);
+            }
+        }
+    }
+}
+
+fn multiply(b: &[f32; 6], v: DVec3) -> DVec3 {
+    let b = b.map(f64::from);
+    DMat3::from_cols(DVec3::new(b[0], b[1], b[2]), DVec3::new(b[1], b[3], b[4]), DVec3::new(b[2], b[4], b[5])) * v
+}
+
+/// Right side `Bᵀ W d` of the equations on the finest level.
+pub fn right_side(equations: &[Equation]) -> Vec<DVec3> {
+    let system = LevelSystem { side: FINE_SIDE, blocks: Vec::new() };
+    let mut right = vec![DVec3::ZERO; FINE_SIDE * FINE_SIDE];
+    for e in equations {
+        let ((sx, wx), (sy, wy)) = (system.axis(e.grid[0]), system.axis(e.grid[1]));
+        for k in 0..16 {
+            right[(sy + k / 4) * FINE_SIDE + sx + k % 4] += e.direction * (e.weight * e.distance_mm * wx[k % 4] * wy[k / 4]);
+        }
+    }
+    right
+}
+
+/// Gradient of a coarse level from that of the next finer one: the transpose of knot insertion.
+pub fn restrict(fine: &[DVec3], fine_side: usize) -> Vec<DVec3> {
+    let side = (fine_side + 3) / 2;
+    let mut wide = vec![DVec3::ZERO; side * fine_side];
+    for y in 0..fine_side {
+        for x in 0..fine_side {
+            spread(x, |i, w| wide[y * side + i] += fine[y * fine_side + x] * w);
+        }
+    }
+    let mut out = vec![DVec3::ZERO; side * side];
+    for y in 0..fine_side {
+        for x in 0..side {
+            spread(y, |j, w| out[j * side + x] += wide[y * side + x] * w);
+        }
+    }
+    out
+}
+
+fn spread(k: usize, mut f: impl FnMut(usize, f64)) {
+    let i = k.div_ceil(2);
+    if k % 2 == 1 {
+        f(i - 1, 0.125);
+        f(i, 0.75);
+        f(i + 1, 0.125);
+    } else {
+        f(i, 0.5);
+        f(i + 1, 0.5);
+    }
+}
+
+/// The systems of all levels.
+pub fn systems(equations: &[Equation], bending: f32, pull: f32) -> [LevelSystem; 3] {
+    LEVEL_SIDES.map(|side| {
+        let mut system = LevelSystem::new(side);
+        equations.iter().for_each(|e| system.add(e));
+        system.add_bending(bending);
+        system.add_pull(pull);
+        system
+    })
+}
+
+/// Displacement (mm) of a lattice in 1/16 units at a grid node.
+pub fn displacement_mm(nodes: &[[i32; 3]], x: usize, y: usize) -> DVec3 {
+    let ((sx, px), (sy, py)) = (span_of(x), span_of(y));
+    let (wx, wy) = (fine_weights(px), fine_weights(py));
+    let mut sum = DVec3::ZERO;
+    for k in 0..16 {
+        let c = nodes[(sy + k / 4) * FINE_SIDE + sx + k % 4];
+        sum += DVec3::from_array(c.map(f64::from)) * (wx[k % 4] * wy[k / 4]);
+    }
+    sum / f64::from(UNITS_PER_MM << super::motion::NODE_BITS)
+}
+
+/// Base point (mm) at a grid node.
+pub fn base_mm(base: &Base, x: usize, y: usize) -> DVec3 {
+    DVec3::from_array(base.positions[y * GRID_SIDE + x].map(f64::from)) / f64::from(UNITS_PER_MM)
+}

@@ -1,0 +1,20 @@
+//! The default mode: shots on the conformal disk, moved by B-spline lattices, corrected in the camera's view.
+//!
+//! Everything that something else is predicted from is an integer: lengths in units of 1/256 mm, pixels in 1/256 px.
+
+pub mod base;
+pub mod base_fit;
+pub mod bisection;
+pub mod descent;
+pub mod fit;
+pub mod frames;
+pub mod lattice;
+pub mod motion;
+pub mod motion_code;
+pub mod pose;
+pub mod raster;
+pub mod scan_image;
+pub mod view;
+
+/// Integer units of length a millimetre.
+pub const UNITS_PER_MM: i32 = 256;

@@ -1,0 +1,57 @@
+//! Where a shot's base is at one scan: a rigid pose and a displacement lattice.
+
+use super::base::Base;
+use super::bisection::Connectivity;
+use super::lattice::{FINE_SIDE, GRID_SIDE, Nodes, evaluate};
+use super::pose::Pose;
+
+/// Fraction bits of lattice nodes below a unit.
+pub const NODE_BITS: u32 = 4;
+
+/// Pose and lattice of one scan.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Motion {
+    /// Applied after the lattice.
+    pub pose: Pose,
+    /// Finest level, displacement of the base in 1/16 units.
+    pub nodes: Nodes,
+}
+
+impl Default for Motion {
+    fn default() -> Self {
+        Self { pose: Pose::default(), nodes: vec![[0; 3]; FINE_SIDE * FINE_SIDE] }
+    }
+}
+
+impl Motion {
+    /// The base's vertices moved, units.
+    pub fn positions(&self, base: &Base, connectivity: &Connectivity) -> Vec<[i32; 3]> {
+        let shift = evaluate(&self.nodes);
+        let pose = self.pose.matrix();
+        let half = 1 << (NODE_BITS - 1);
+        let moved = |&n: &u32| {
+            let (p, d) = (base.positions[n as usize], shift[n as usize]);
+            pose.apply([0, 1, 2].map(|c| p[c] + ((d[c] + half) >> NODE_BITS)))
+        };
+        debug_assert_eq!(shift.len(), GRID_SIDE * GRID_SIDE);
+        connectivity.nodes.iter().map(moved).collect()
+    }
+}
+
+/// A weighted mean of motions, `weights` over a common denominator, rounded to the nearest, halves up.
+///
+/// # Panics
+/// When there is not one motion a weight, or the denominator is not positive.
+pub fn weighted(motions: &[&Motion], weights: &[i64], denominator: i64) -> Motion {
+    assert!(motions.len() == weights.len() && denominator > 0, "a weight a motion over a positive denominator");
+    let mean = |values: &mut dyn Iterator<Item = i32>| {
+        let sum: i128 = values.zip(weights).map(|(v, w)| i128::from(v) * i128::from(*w)).sum();
+        (sum + i128::from(denominator) / 2).div_euclid(i128::from(denominator)) as i32
+    };
+    let pose = Pose {
+        turn: [0, 1, 2].map(|c| mean(&mut motions.iter().map(|m| m.pose.turn[c]))),
+        shift: [0, 1, 2].map(|c| mean(&mut motions.iter().map(|m| m.pose.shift[c]))),
+    };
+    let node = |i: usize| [0, 1, 2].map(|c| mean(&mut motions.iter().map(|m| m.nodes[i][c])));
+    Motion { pose, nodes: (0..FINE_SIDE * FINE_SIDE).map(node).collect() }
+}

@@ -1,0 +1,110 @@
+//! The camera of a run in integers: where a point is seen, how deep, and back.
+
+use crate::texture::CameraFit;
+use crate::{CodecError, Result};
+use glam::{DMat3, DVec3};
+
+/// Fraction bits of a picture position.
+pub const PX_BITS: u32 = 8;
+/// Fraction bits of the depth axis.
+const AXIS_BITS: u32 = 14;
+/// Bits of the homogeneous divisor at the middle of the surface.
+const DIVISOR_BITS: u32 = 34;
+
+/// Projection `(x, y) = (row0 X / row2 X, row1 X / row2 X)` of points in units, and depth `axis X`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct View {
+    /// Three rows of a 3x4 camera, times a common factor.
+    pub rows: [[i64; 4]; 3],
+    /// Unit vector away from the camera, times 2^14.
+    pub axis: [i64; 3],
+}
+
+/// A point seen: position in 1/256 px, depth in units.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Seen {
+    /// Columns from the first pixel's centre.
+    pub x: i32,
+    /// Rows from the first pixel's centre, downwards.
+    pub y: i32,
+    /// Along the viewing axis.
+    pub depth: i32,
+}
+
+impl View {
+    /// The integer form of a fitted camera (mm to px) for a surface around `centre_mm` whose normals look at the camera
+    /// against `facing` (mean normal of the surface).
+    ///
+    /// # Errors
+    /// [`CodecError::Mesh`] when the camera is out of range.
+    pub fn new(camera: &CameraFit, centre_mm: DVec3, facing: DVec3) -> Result<Self> {
+        let m = &camera.matrix;
+        let row = |r: usize| DVec3::new(m[4 * r], m[4 * r + 1], m[4 * r + 2]);
+        let divisor = row(2).dot(centre_mm) + m[11];
+        let affine = row(2).length() * 1000.0 < divisor.abs() * 1e-3;
+        let toward = if affine { row(0).cross(row(1)) } else { row(2) * divisor.signum() };
+        let axis = toward.normalize_or_zero();
+        let axis = if affine && axis.dot(facing) > 0.0 { -axis } else { axis };
+        let scale = f64::from(1u32 << 17) * f64::from(1u32 << (DIVISOR_BITS - 17)) / divisor;
+        let units = f64::from(super::UNITS_PER_MM);
+        let mut rows = [[0; 4]; 3];
+        for (r, out) in rows.iter_mut().enumerate() {
+            for c in 0..4 {
+                let v = m[4 * r + c] * scale / if c < 3 { units } else { 1.0 };
+                if !(v.abs() < 2f64.powi(50)) {
+                    return Err(CodecError::Mesh("the camera of the scan is out of range".into()));
+                }
+                out[c] = v.round() as i64;
+            }
+        }
+        Ok(Self { rows, axis: axis.to_array().map(|a| (a * f64::from(1 << AXIS_BITS)).round() as i64) })
+    }
+
+    /// Where a point (units) is seen; `None` behind the camera or far outside any picture.
+    pub fn project(&self, p: [i32; 3]) -> Option<Seen> {
+        let p = p.map(i64::from);
+        let dot = |r: &[i64; 4]| r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + r[3];
+        let divisor = dot(&self.rows[2]) >> PX_BITS;
+        if divisor <= 0 {
+            return None;
+        }
+        let [x, y] = [0, 1].map(|r| (dot(&self.rows[r]) + divisor / 2).div_euclid(divisor));
+        if x.abs() >= 1 << 24 || y.abs() >= 1 << 24 {
+            return None;
+        }
+        let depth = (self.axis[0] * p[0] + self.axis[1] * p[1] + self.axis[2] * p[2]) >> AXIS_BITS;
+        Some(Seen { x: x as i32, y: y as i32, depth: depth as i32 })
+    }
+
+    /// Turns what is seen back into points, mm.
+    pub fn back_projection(&self) -> BackProjection {
+        let f = |v: i64| v as f64;
+        let row = |r: usize| DVec3::new(f(self.rows[r][0]), f(self.rows[r][1]), f(self.rows[r][2]));
+        BackProjection {
+            rows: [row(0), row(1), row(2)],
+            last: [f(self.rows[0][3]), f(self.rows[1][3]), f(self.rows[2][3])],
+            axis: DVec3::from_array(self.axis.map(f)) / f64::from(1 << AXIS_BITS),
+        }
+    }
+}
+
+/// Inverse of [`View::project`], for display.
+#[derive(Debug, Clone, Copy)]
+pub struct BackProjection {
+    rows: [DVec3; 3],
+    last: [f64; 3],
+    axis: DVec3,
+}
+
+impl BackProjection {
+    /// The point (mm) seen at (x, y) px at a depth in units.
+    pub fn point_mm(&self, x_px: f64, y_px: f64, depth: f64) -> DVec3 {
+        let a = self.rows[0] - self.rows[2] * x_px;
+        let b = self.rows[1] - self.rows[2] * y_px;
+        let right = DVec3::new(x_px * self.last[2] - self.last[0], y_px * self.last[2] - self.last[1], depth);
+        let scale = 1.0 / self.rows[2].abs().max_element().max(1e-9).max(self.rows[0].abs().max_element());
+        let m = DMat3::from_cols(a * scale, b * scale, self.axis).transpose();
+        let right = DVec3::new(right.x * scale, right.y * scale, right.z);
+        m.inverse() * right / f64::from(super::UNITS_PER_MM)
+    }
+}
