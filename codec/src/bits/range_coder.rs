@@ -156,8 +156,10 @@ impl RangeEncoder {
         for _ in 0..5 {
             self.shift();
         }
-        while self.out.last() == Some(&0) {
-            self.out.pop();
+        for _ in 0..4 {
+            if self.out.last() == Some(&0) {
+                self.out.pop();
+            }
         }
         self.out
     }

@@ -5,10 +5,12 @@
 pub mod base;
 pub mod base_fit;
 pub mod bisection;
+pub mod block_transform;
 pub mod descent;
 pub mod fit;
 pub mod frames;
 pub mod lattice;
+pub mod mask;
 pub mod motion;
 pub mod motion_code;
 pub mod pose;
