@@ -249,7 +249,8 @@ impl Node {
             return 0;
         }
         let s = self.spacing as isize;
-        let at = |k: isize| if self.vertical { self.beside(0, k * s) } else { self.beside(k * s, 0) }.map(|i| values[i]);
+        let at =
+            |k: isize| if self.vertical { self.beside(0, k * s) } else { self.beside(k * s, 0) }.map(|i| values[i]);
         match (at(-3), at(-1), at(1), at(3)) {
             (Some(a), Some(b), Some(c), Some(d)) => (9 * (b + c) - a - d + 8) >> 4,
             (_, Some(b), Some(c), _) => (b + c + 1) >> 1,

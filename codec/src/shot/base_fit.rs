@@ -1,10 +1,10 @@
 //! Finding the base of a shot: the scan laid on the disk, a smooth lattice through it, and what is left along its normals.
 
+use super::UNITS_PER_MM;
 use super::base::{CONTROL_SIDE, CodedBase, DIRECTION_BITS, control_surface, on_disk, visit};
 use super::lattice::{CELLS_PER_SPAN, GRID_CELLS, GRID_SIDE, Nodes, WEIGHTS};
 use super::scan_image::ScanImage;
 use super::view::View;
-use super::UNITS_PER_MM;
 use crate::Result;
 use crate::linalg::{LowerCsc, SparseLlt};
 use crate::mesh::TriMesh;
@@ -51,7 +51,12 @@ pub fn fit_base(disk: &TriMesh, image: &ScanImage, view: &View, options: &BaseOp
     let (surface, normals) = control_surface(&control, options.control_step);
     let wanted = wanted_displacement(&surface, &normals, image, view);
     let residuals = quantize(&smooth(&wanted), options);
-    Ok(CodedBase { control_step: options.control_step, control, displacement_step: options.displacement_step, residuals })
+    Ok(CodedBase {
+        control_step: options.control_step,
+        control,
+        displacement_step: options.displacement_step,
+        residuals,
+    })
 }
 
 fn place(x: usize, y: usize) -> DVec2 {
@@ -62,7 +67,8 @@ fn place(x: usize, y: usize) -> DVec2 {
 /// Grid nodes inside the conformal disk and the points of the surface there.
 fn targets(disk: &TriMesh, points: &[DVec2]) -> Vec<(usize, usize, Vec3)> {
     let locator = DiskLocator::new(points, &disk.triangles);
-    let nodes = (0..GRID_SIDE).step_by(SAMPLE_STRIDE).flat_map(|y| (0..GRID_SIDE).step_by(SAMPLE_STRIDE).map(move |x| (x, y)));
+    let nodes =
+        (0..GRID_SIDE).step_by(SAMPLE_STRIDE).flat_map(|y| (0..GRID_SIDE).step_by(SAMPLE_STRIDE).map(move |x| (x, y)));
     nodes
         .filter(|&(x, y)| place(x, y).length() <= 1.0)
         .filter_map(|(x, y)| {
@@ -84,8 +90,7 @@ fn fit_control(targets: &[(usize, usize, Vec3)], bending: f64) -> Result<Vec<DVe
             (span, weights(phase))
         };
         let ((sx, wx), (sy, wy)) = (axis(x), axis(y));
-        let row: Vec<(usize, f64)> =
-            (0..16).map(|k| ((sy + k / 4) * n + sx + k % 4, wx[k % 4] * wy[k / 4])).collect();
+        let row: Vec<(usize, f64)> = (0..16).map(|k| ((sy + k / 4) * n + sx + k % 4, wx[k % 4] * wy[k / 4])).collect();
         system.add(&row, p.as_dvec3(), 1.0);
     }
     for y in 0..n {
@@ -133,12 +138,7 @@ impl NormalEquations {
 }
 
 /// Displacement along the control normals to the scan, units; `None` where it is not seen.
-fn wanted_displacement(
-    surface: &[[i32; 3]],
-    normals: &[[i32; 3]],
-    image: &ScanImage,
-    view: &View,
-) -> Vec<Option<f64>> {
+fn wanted_displacement(surface: &[[i32; 3]], normals: &[[i32; 3]], image: &ScanImage, view: &View) -> Vec<Option<f64>> {
     let mut out = vec![None; surface.len()];
     for (i, out) in out.iter_mut().enumerate() {
         if on_disk(i % GRID_SIDE, i / GRID_SIDE) {

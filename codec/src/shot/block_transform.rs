@@ -168,7 +168,11 @@ impl BlockModels {
                 for s in 0..steps.min(14) {
                     cost += models[(s as usize).min(5)].cost(true);
                 }
-                cost += if steps < 14 { models[(steps as usize).min(5)].cost(false) } else { 512 * (steps - 13).ilog2() + 256 };
+                cost += if steps < 14 {
+                    models[(steps as usize).min(5)].cost(false)
+                } else {
+                    512 * (steps - 13).ilog2() + 256
+                };
                 cost += 256 + self.last[i].cost(i == last);
             }
         }

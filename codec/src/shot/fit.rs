@@ -3,10 +3,10 @@
 //! Distances along the scan's normals are shape (Chen, Medioni: Object modelling by registration of multiple range images,
 //! 1992); motion within the surface is held by tracked points and by a pull to what was predicted.
 
-use super::base::Base;
-use super::lattice::{FINE_SIDE, GRID_SIDE, LEVEL_SIDES, span_of};
-use super::base_fit::fine_weights;
 use super::UNITS_PER_MM;
+use super::base::Base;
+use super::base_fit::fine_weights;
+use super::lattice::{FINE_SIDE, GRID_SIDE, LEVEL_SIDES, span_of};
 use glam::{DMat3, DVec3};
 
 /// Nodes that a node's basis function overlaps, a side.
@@ -79,7 +79,11 @@ impl LevelSystem {
         let span = ((grid / cells) as usize).min(self.side - 4);
         let t = grid / cells - span as f64;
         let q = 1.0 - t;
-        (span, [q * q * q, 3.0 * t * t * t - 6.0 * t * t + 4.0, 3.0 * q * q * q - 6.0 * q * q + 4.0, t * t * t].map(|w| w / 6.0))
+        (
+            span,
+            [q * q * q, 3.0 * t * t * t - 6.0 * t * t + 4.0, 3.0 * q * q * q - 6.0 * q * q + 4.0, t * t * t]
+                .map(|w| w / 6.0),
+        )
     }
 
     /// Adds `weight` times the squared second differences of neighbouring nodes, all directions alike.
@@ -145,7 +149,8 @@ pub fn right_side(equations: &[Equation]) -> Vec<DVec3> {
     for e in equations {
         let ((sx, wx), (sy, wy)) = (system.axis(e.grid[0]), system.axis(e.grid[1]));
         for k in 0..16 {
-            right[(sy + k / 4) * FINE_SIDE + sx + k % 4] += e.direction * (e.weight * e.distance_mm * wx[k % 4] * wy[k / 4]);
+            right[(sy + k / 4) * FINE_SIDE + sx + k % 4] +=
+                e.direction * (e.weight * e.distance_mm * wx[k % 4] * wy[k / 4]);
         }
     }
     right

@@ -25,12 +25,7 @@ const fn weights() -> [[i32; 4]; CELLS_PER_SPAN + 1] {
     while phase <= CELLS_PER_SPAN {
         let p = phase as i32;
         let q = 8 - p;
-        table[phase] = [
-            q * q * q,
-            3 * p * p * p - 48 * p * p + 2048,
-            3 * q * q * q - 48 * q * q + 2048,
-            p * p * p,
-        ];
+        table[phase] = [q * q * q, 3 * p * p * p - 48 * p * p + 2048, 3 * q * q * q - 48 * q * q + 2048, p * p * p];
         phase += 1;
     }
     table
@@ -38,7 +33,11 @@ const fn weights() -> [[i32; 4]; CELLS_PER_SPAN + 1] {
 
 /// Span and phase of a grid coordinate; the last node is the end of the last span.
 pub const fn span_of(grid: usize) -> (usize, usize) {
-    if grid == GRID_CELLS { (GRID_CELLS / CELLS_PER_SPAN - 1, CELLS_PER_SPAN) } else { (grid / CELLS_PER_SPAN, grid % CELLS_PER_SPAN) }
+    if grid == GRID_CELLS {
+        (GRID_CELLS / CELLS_PER_SPAN - 1, CELLS_PER_SPAN)
+    } else {
+        (grid / CELLS_PER_SPAN, grid % CELLS_PER_SPAN)
+    }
 }
 
 /// Control points of one level, row-major.
@@ -125,7 +124,8 @@ mod tests {
                 for c in 0..3 {
                     let at = |dx: usize, dy: usize| f64::from(nodes[(j + dy) * 19 + i + dx][c]);
                     let w = [1.0, 4.0, 1.0];
-                    let sum: f64 = (0..3).flat_map(|a| (0..3).map(move |b| (a, b))).map(|(a, b)| w[a] * w[b] * at(a, b)).sum();
+                    let sum: f64 =
+                        (0..3).flat_map(|a| (0..3).map(move |b| (a, b))).map(|(a, b)| w[a] * w[b] * at(a, b)).sum();
                     assert!((sum / 36.0 - f64::from(values[y * GRID_SIDE + x][c])).abs() < 3.0);
                 }
             }
@@ -134,7 +134,8 @@ mod tests {
 
     #[test]
     fn a_constant_and_a_line_are_exact() {
-        let nodes: Nodes = (0..FINE_SIDE * FINE_SIDE).map(|i| [5, (i % FINE_SIDE) as i32 * 8, (i / FINE_SIDE) as i32 * -16]).collect();
+        let nodes: Nodes =
+            (0..FINE_SIDE * FINE_SIDE).map(|i| [5, (i % FINE_SIDE) as i32 * 8, (i / FINE_SIDE) as i32 * -16]).collect();
         let values = evaluate(&nodes);
         for (i, v) in values.iter().enumerate() {
             assert_eq!(*v, [5, 8 + (i % GRID_SIDE) as i32, -16 - 2 * (i / GRID_SIDE) as i32]);

@@ -93,7 +93,8 @@ fn code(mask: &mut [bool], expected: &Expectation, coder: &mut impl Coder, model
                 None => true,
                 Some(value) => {
                     let any = (by..end.1).any(|y| mask[y * w + bx..y * w + end.0].iter().any(|m| *m != value));
-                    let near = usize::from(bx > 0 && differs[bx / BLOCK - 1] && expected.certain(bx - BLOCK, by).is_some());
+                    let near =
+                        usize::from(bx > 0 && differs[bx / BLOCK - 1] && expected.certain(bx - BLOCK, by).is_some());
                     let any = coder.bit(&mut models.block[usize::from(value) + near], any);
                     if !any {
                         (by..end.1).for_each(|y| mask[y * w + bx..y * w + end.0].fill(value));

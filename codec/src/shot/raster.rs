@@ -62,7 +62,8 @@ impl DepthPicture {
         let sy = (((dz1 * acx - dz2 * abx) << (SLOPE_BITS + PX_BITS)) / area).clamp(-(1 << 40), 1 << 40);
         let edges = [Edge::new(b, a), Edge::new(c, b), Edge::new(a, c)];
         let (ox, oy) = (i64::from((px0 << PX_BITS) - a.x), i64::from((py0 << PX_BITS) - a.y));
-        let mut row_depth = (i64::from(a.depth) << SLOPE_BITS) + ((sx * ox + sy * oy) >> PX_BITS) + (1 << (SLOPE_BITS - 1));
+        let mut row_depth =
+            (i64::from(a.depth) << SLOPE_BITS) + ((sx * ox + sy * oy) >> PX_BITS) + (1 << (SLOPE_BITS - 1));
         let mut row_edge = [0, 1, 2].map(|i: usize| edges[i].at(px0, py0));
         for y in py0..=py1 {
             let (mut depth, mut e) = (row_depth, row_edge);
@@ -121,7 +122,8 @@ mod tests {
 
     #[test]
     fn two_triangles_of_a_square_meet_without_gap_or_overlap() {
-        let (a, b, c, d) = (seen(512, 512, 100), seen(5 * 256, 512, 100), seen(5 * 256, 6 * 256, 100), seen(512, 6 * 256, 100));
+        let (a, b, c, d) =
+            (seen(512, 512, 100), seen(5 * 256, 512, 100), seen(5 * 256, 6 * 256, 100), seen(512, 6 * 256, 100));
         let mut covered = 0;
         for t in [[a, c, b], [a, d, c]] {
             let mut p = DepthPicture::new(10, 10);
