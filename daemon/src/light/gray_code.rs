@@ -106,7 +106,14 @@ impl GrayDecoder {
         }
     }
 
-    /// Rejects, in `mask`, pixels that the projector does not light or lights too little; `limits` are those of a sinusoid,
+    /// Whether any picture that the code is read from clips pixel `i`, so that differences no longer say where an edge is.
+    fn is_saturated(&self, pictures: &[&GreyPicture], level: u8, i: usize) -> bool {
+        let is_clipped = |picture: usize| pictures[picture].pixels[i] >= level;
+        self.bits.iter().any(|&(picture, inverse)| is_clipped(picture) || inverse.is_some_and(is_clipped))
+            || self.white_black.is_some_and(|(white, black)| is_clipped(white) || is_clipped(black))
+    }
+
+    /// Rejects, in `mask`, pixels that are saturated, and those that the projector does not light or lights too little; `limits` are those of a sinusoid,
     /// whose modulation is half the range.
     ///
     /// # Panics
@@ -114,7 +121,9 @@ impl GrayDecoder {
     pub fn reject_shadow(&self, pictures: &[&GreyPicture], limits: MaskLimits, mask: &mut PixelMask) {
         for i in 0..mask.verdicts.len() {
             let (range, sum) = self.range(pictures, i);
-            let new = if range < 2.0 * limits.min_modulation {
+            let new = if self.is_saturated(pictures, limits.saturated_level, i) {
+                Rejection::Saturated
+            } else if range < 2.0 * limits.min_modulation {
                 Rejection::Shadow
             } else if range < limits.min_data_modulation * sum {
                 Rejection::LowDataModulation

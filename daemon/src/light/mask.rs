@@ -32,6 +32,8 @@ pub enum Rejection {
     CodeRange,
     /// Projector column and row are not on the pixel's epipolar line.
     Epipolar,
+    /// In a piece of relative phase that the working range does not place.
+    Unanchored,
 }
 
 /// Rejected pixels of one scan, by cause.
@@ -60,6 +62,8 @@ pub struct RejectedPixels {
     pub code_range: u64,
     /// Projector column and row off the epipolar line.
     pub epipolar: u64,
+    /// Relative phase only, in a piece that the working range does not place.
+    pub unanchored: u64,
 }
 
 impl std::ops::AddAssign for RejectedPixels {
@@ -75,6 +79,7 @@ impl std::ops::AddAssign for RejectedPixels {
         self.uncertain_bit += other.uncertain_bit;
         self.code_range += other.code_range;
         self.epipolar += other.epipolar;
+        self.unanchored += other.unanchored;
     }
 }
 
@@ -92,6 +97,7 @@ impl RejectedPixels {
             + self.uncertain_bit
             + self.code_range
             + self.epipolar
+            + self.unanchored
     }
 }
 
@@ -195,7 +201,7 @@ impl PixelMask {
 
     /// Counts the rejected pixels by cause.
     pub fn count(&self) -> RejectedPixels {
-        let mut histogram = [0u64; 12];
+        let mut histogram = [0u64; 13];
         for v in &self.verdicts {
             histogram[*v as usize] += 1;
         }
@@ -212,6 +218,7 @@ impl PixelMask {
             uncertain_bit: of(Rejection::UncertainBit),
             code_range: of(Rejection::CodeRange),
             epipolar: of(Rejection::Epipolar),
+            unanchored: of(Rejection::Unanchored),
         }
     }
 }

@@ -4,14 +4,19 @@ pub mod absolute;
 pub mod calibration;
 mod calibration_json;
 pub mod dither;
+pub mod gamma;
+pub mod geometric;
 pub mod gray_code;
 pub mod grid_mesh;
 pub mod intersect;
 pub mod mask;
+pub mod motion;
 pub mod pattern;
 mod pattern_text;
 pub mod phase;
+pub mod processing;
 mod schemes;
+pub mod spatial;
 pub mod triangulate;
 pub mod unwrap;
 
@@ -19,12 +24,16 @@ use serde::{Deserialize, Serialize};
 
 pub use absolute::AbsoluteDecoder;
 pub use calibration::{Calibration, Distortion, Intrinsics, Rigid};
+pub use gamma::GammaTable;
+pub use geometric::MinimumPhase;
 pub use gray_code::{GrayCodes, GrayDecoder};
 pub use grid_mesh::{GridMesher, MeshLimits};
-pub use intersect::{ProjectorCoordinates, intersect};
+pub use intersect::{Intersector, ProjectorCoordinates, intersect};
 pub use mask::{MaskLimits, PixelMask, RejectedPixels, Rejection};
+pub use motion::MotionCorrector;
 pub use pattern::{Direction, Pattern, PatternKind, PatternSequence};
 pub use phase::{PhaseExtractor, WrappedPhase};
+pub use processing::{MotionCorrection, Processing, Unwrap};
 pub use triangulate::{PointGrid, Triangulator};
 pub use unwrap::Unwrapper;
 

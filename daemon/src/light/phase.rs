@@ -91,6 +91,11 @@ impl PhaseExtractor {
         })
     }
 
+    /// Factors of every picture in the sums of phase shifting, sine and cosine: phi = -atan2(sine sum, cosine sum).
+    pub fn weights(&self) -> impl Iterator<Item = (f32, f32)> + '_ {
+        self.sines.iter().copied().zip(self.cosines.iter().copied())
+    }
+
     /// Weights for pictures whose shifts do not divide the circle evenly; without a shift a picture shows the half level.
     fn by_least_squares(shifts: &[Option<f64>], limits: MaskLimits) -> Result<Self, LightError> {
         // I_n = A + (B cos phi) cos shift_n - (B sin phi) sin shift_n.
