@@ -4,7 +4,7 @@ use super::Outcome;
 use super::progress::{bar, human_bytes};
 use crate::device::{self, RigConfig};
 use crate::pipeline::record::ScanObserver;
-use crate::pipeline::{RecordSettings, Recorded, record};
+use crate::pipeline::{Reconstructor, RecordSettings, Recorded, record};
 use anyhow::{Context, Result};
 use clap::Args;
 use gv3_codec::seed::EncoderConfig;
@@ -79,6 +79,8 @@ pub fn record_session(
     observer: ScanObserver,
 ) -> Result<Recorded> {
     let rig = device::open(config)?;
+    // Before the file: what cannot work leaves no session behind.
+    Reconstructor::with(&rig.calibration, &rig.sequence, &rig.limits, &rig.processing)?;
     let period_nanos = rig.timing.set_period_nanos(rig.sequence.patterns.len());
     let scan_periods = seconds.map(|s| (s * 1e9 / period_nanos as f64).round().max(1.0) as u64);
     let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);

@@ -2,6 +2,7 @@
 //!
 //! A command returns its report as text or JSON; exit code 0 for done, 1 for failed, 2 for wrong usage.
 
+mod calibrate_gamma;
 mod capture;
 mod decode;
 mod demo;
@@ -48,6 +49,7 @@ enum Command {
     Recover(recover::Recover),
     Measure(measure::Measure),
     Patterns(patterns::Patterns),
+    CalibrateGamma(calibrate_gamma::CalibrateGamma),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -89,6 +91,7 @@ pub fn main() -> ExitCode {
         Command::Recover(c) => c.run(),
         Command::Measure(c) => c.run(),
         Command::Patterns(c) => c.run(),
+        Command::CalibrateGamma(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

@@ -4,13 +4,14 @@ use super::Outcome;
 use super::decode::Format;
 use super::progress::human_bytes;
 use crate::files::picture::{PictureFormat, read_picture};
+use crate::files::processing_config::read_gamma;
 use crate::files::{ExportFormat, ExportWriter, RawFolder};
 use crate::light::{Calibration, DepthRange, LightError, Limits, RejectedPixels};
 use crate::pipeline::record::write_group;
 use crate::pipeline::{Reconstruction, StillReconstructor};
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use gv3_codec::Scan;
+use gv3_codec::{GreyPicture, Scan};
 use gv3_codec::seed::{Encoder, EncoderConfig};
 use gv3_protocol::AtomicFile;
 use gv3_protocol::session::{MetadataGroup, SessionMetadata, SessionWriter, key};
@@ -29,14 +30,12 @@ const SCAN_PERIOD_NANOS: u64 = 33_333_333;
     after_help = "Example:\n  gv3 reconstruct capture --sequence sequence.toml --calibration rig.toml -o scan\n\nsequence.toml:\n  pictures = \"graycode_##.png\"\n  [sequence]\n  width_px = 1024\n  height_px = 768\n  [[sequence.patterns]]\n  kind = \"gray\"        # or sinusoid (period_px, steps), white, black, half\n  bits = 10            # most significant first\n  pairs = true         # each followed by its inverse\n  direction = \"rows\"   # or columns"
 )]
 pub struct Reconstruct {
-    /// Folder of pictures.
-    folder: PathBuf,
-    /// TOML that says what the pictures show.
-    #[arg(long)]
-    sequence: PathBuf,
-    /// Calibration: TOML, or JSON with Kc, dc, Kp, dp, R, T.
-    #[arg(long)]
-    calibration: PathBuf,
+    /// Pictures of the scan.
+    #[command(flatten)]
+    capture: RawCapture,
+    /// Phase errors of the projector, from gv3 calibrate-gamma; over gamma_file of the sequence.
+    #[arg(long, value_name = "FILE")]
+    gamma: Option<PathBuf>,
     /// Folder to write the scan to.
     #[arg(short, long)]
     out: PathBuf,
@@ -54,70 +53,48 @@ pub struct Reconstruct {
     json: bool,
 }
 
-#[derive(Debug, Serialize)]
-struct ReconstructReport {
-    vertices: usize,
-    triangles: usize,
-    rejected_pixels: RejectedPixels,
-    bytes: u64,
-    session_bytes: Option<u64>,
+/// Pattern pictures and what is needed to understand them.
+#[derive(Debug, Clone, Args)]
+pub struct RawCapture {
+    /// Folder of pictures.
+    folder: PathBuf,
+    /// TOML that says what the pictures show.
+    #[arg(long)]
+    sequence: PathBuf,
+    /// Calibration: TOML, or JSON with Kc, dc, Kp, dp, R, T.
+    #[arg(long)]
+    calibration: PathBuf,
 }
 
-impl Reconstruct {
-    pub(super) fn run(self) -> Result<Outcome> {
+/// A capture whose description and calibration are read.
+pub struct OpenedCapture {
+    /// Folder of the pictures.
+    pub folder: PathBuf,
+    /// What they show.
+    pub raw: RawFolder,
+    /// Name of the picture of every pattern.
+    pub names: Vec<String>,
+    /// Geometry of the rig.
+    pub calibration: Calibration,
+    /// Limits of the description; without them nothing but the geometry bounds the depth.
+    pub limits: Limits,
+}
+
+impl RawCapture {
+    /// Description and calibration together, for messages.
+    pub fn name(&self) -> String {
+        format!("{} with {}", self.sequence.display(), self.calibration.display())
+    }
+
+    /// Reads description and calibration.
+    pub fn open(&self) -> Result<OpenedCapture> {
         let raw = RawFolder::read(&self.sequence)?;
         let names = raw.names()?;
         let calibration = self.read_calibration(&raw, &names)?;
-        // Without limits nothing but the geometry bounds the depth.
         let limits = raw
             .limits
             .unwrap_or_else(|| Limits { depth: DepthRange { near_mm: 1.0, far_mm: 100_000.0 }, ..Limits::default() });
-        let whole = || format!("{} with {}", self.sequence.display(), self.calibration.display());
-        let reconstructor = StillReconstructor::new(&calibration, &raw.sequence, &limits).with_context(whole)?;
-        let size_px = [calibration.camera.width_px, calibration.camera.height_px];
-        let pictures = raw.load(&self.folder, size_px)?;
-        let Reconstruction { scan, rejected } =
-            reconstructor.reconstruct(&pictures).map_err(|e| named(e, &self.folder, &names))?;
-        if scan.mesh.triangles.is_empty() {
-            let DepthRange { near_mm, far_mm } = limits.depth;
-            bail!(
-                "{}: no surface between {near_mm} and {far_mm} mm (near_mm and far_mm of [limits.depth] in {}); rejected pixels: {}",
-                self.folder.display(),
-                self.sequence.display(),
-                describe(&rejected)?
-            );
-        }
-        let format = match self.format {
-            Format::Obj => ExportFormat::Obj,
-            Format::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
-        };
-        let writer = ExportWriter::create(&self.out, format, self.force)?;
-        let mut report = ReconstructReport {
-            vertices: scan.mesh.vertex_count(),
-            triangles: scan.mesh.triangles.len(),
-            rejected_pixels: rejected,
-            bytes: writer.write(0, &scan.mesh, scan.texture.as_ref())?,
-            session_bytes: None,
-        };
-        if let Some(path) = &self.session {
-            report.session_bytes = Some(write_session(path, self.force, scan, &calibration)?);
-        }
-        let causes = describe(&rejected)?;
-        Outcome::of(self.json, &report, || self.describe(&report, &causes))
-    }
-
-    fn describe(&self, report: &ReconstructReport, causes: &str) -> String {
-        let mut text = format!(
-            "{}: {} vertices, {} triangles, {}\n  rejected pixels: {causes}",
-            self.out.display(),
-            report.vertices,
-            report.triangles,
-            human_bytes(report.bytes)
-        );
-        if let (Some(path), Some(bytes)) = (&self.session, report.session_bytes) {
-            text.push_str(&format!("\n{}: {}", path.display(), human_bytes(bytes)));
-        }
-        text
+        Ok(OpenedCapture { folder: self.folder.clone(), raw, names, calibration, limits })
     }
 
     fn read_calibration(&self, raw: &RawFolder, names: &[String]) -> Result<Calibration> {
@@ -139,8 +116,81 @@ impl Reconstruct {
     }
 }
 
+impl OpenedCapture {
+    /// Reads the pictures.
+    pub fn pictures(&self) -> Result<Vec<GreyPicture>> {
+        let size_px = [self.calibration.camera.width_px, self.calibration.camera.height_px];
+        Ok(self.raw.load(&self.folder, size_px)?)
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct ReconstructReport {
+    vertices: usize,
+    triangles: usize,
+    rejected_pixels: RejectedPixels,
+    bytes: u64,
+    session_bytes: Option<u64>,
+}
+
+impl Reconstruct {
+    pub(super) fn run(self) -> Result<Outcome> {
+        let opened = self.capture.open()?;
+        let OpenedCapture { folder, raw, names, calibration, limits } = &opened;
+        let mut processing = raw.processing.read()?;
+        if let Some(path) = &self.gamma {
+            processing.gamma = Some(read_gamma(path)?);
+        }
+        let reconstructor = StillReconstructor::with(calibration, &raw.sequence, limits, &processing)
+            .with_context(|| self.capture.name())?;
+        let pictures = opened.pictures()?;
+        let Reconstruction { scan, rejected } =
+            reconstructor.reconstruct(&pictures).map_err(|e| named(e, folder, names))?;
+        if scan.mesh.triangles.is_empty() {
+            let DepthRange { near_mm, far_mm } = limits.depth;
+            bail!(
+                "{}: no surface between {near_mm} and {far_mm} mm (near_mm and far_mm of [limits.depth] in {}); rejected pixels: {}",
+                folder.display(),
+                self.capture.sequence.display(),
+                describe(&rejected)?
+            );
+        }
+        let format = match self.format {
+            Format::Obj => ExportFormat::Obj,
+            Format::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
+        };
+        let writer = ExportWriter::create(&self.out, format, self.force)?;
+        let mut report = ReconstructReport {
+            vertices: scan.mesh.vertex_count(),
+            triangles: scan.mesh.triangles.len(),
+            rejected_pixels: rejected,
+            bytes: writer.write(0, &scan.mesh, scan.texture.as_ref())?,
+            session_bytes: None,
+        };
+        if let Some(path) = &self.session {
+            report.session_bytes = Some(write_session(path, self.force, scan, calibration)?);
+        }
+        let causes = describe(&rejected)?;
+        Outcome::of(self.json, &report, || self.describe(&report, &causes))
+    }
+
+    fn describe(&self, report: &ReconstructReport, causes: &str) -> String {
+        let mut text = format!(
+            "{}: {} vertices, {} triangles, {}\n  rejected pixels: {causes}",
+            self.out.display(),
+            report.vertices,
+            report.triangles,
+            human_bytes(report.bytes)
+        );
+        if let (Some(path), Some(bytes)) = (&self.session, report.session_bytes) {
+            text.push_str(&format!("\n{}: {}", path.display(), human_bytes(bytes)));
+        }
+        text
+    }
+}
+
 /// The error with the picture's file in place of its index.
-fn named(error: LightError, folder: &Path, names: &[String]) -> anyhow::Error {
+pub(super) fn named(error: LightError, folder: &Path, names: &[String]) -> anyhow::Error {
     if let LightError::Field { field, reason } = &error
         && let Some(index) = field.strip_prefix("pictures[").and_then(|f| f.strip_suffix(']')?.parse::<usize>().ok())
         && let Some(name) = names.get(index)
@@ -189,7 +239,7 @@ mod tests {
     use crate::replay::Replay;
     use clap::Parser;
     use glam::{DMat3, DVec3, Vec3};
-    use gv3_codec::{GreyPicture, mesh::TriMesh};
+    use gv3_codec::mesh::TriMesh;
 
     #[derive(Parser)]
     struct Line {

@@ -2,6 +2,7 @@
 
 use super::{CameraSettings, DeviceError, SequenceTiming, TriggerSource};
 use crate::device::sim::{SceneConfig, SimConfig};
+use crate::files::ProcessingConfig;
 use crate::light::{Calibration, Distortion, Intrinsics, Limits, PatternSequence, Rigid};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -53,6 +54,9 @@ pub struct RigConfig {
     /// Limits for reconstruction.
     #[serde(default)]
     pub limits: Limits,
+    /// Choices for reconstruction.
+    #[serde(default, skip_serializing_if = "ProcessingConfig::is_default")]
+    pub processing: ProcessingConfig,
     /// The simulated world, for simulated devices.
     #[serde(default)]
     pub sim: SimConfig,
@@ -75,6 +79,7 @@ impl RigConfig {
             projector: ProjectorConfig { backend: Backend::Simulated },
             timing: SequenceTiming { picture_period_nanos: 5_555_556, exposure_nanos: 5_000_000 },
             limits: Limits::default(),
+            processing: ProcessingConfig::default(),
             sim: SimConfig::default(),
             // 264 px is the shortest whole multiple of 22 px that the working range allows; a ratio of 12 leaves five sigma
             // of the low phase to half a fringe at the least modulation of the mask.
@@ -94,6 +99,7 @@ impl RigConfig {
         if let (Some(file), Some(folder)) = (&config.calibration_file, path.parent()) {
             config.calibration_file = Some(folder.join(file));
         }
+        config.processing.start_at(path);
         if let (SceneConfig::Obj(file), Some(folder)) = (&mut config.sim.scene, path.parent()) {
             *file = folder.join(&file);
         }

@@ -4,7 +4,7 @@ pub mod config;
 pub mod frame;
 pub mod sim;
 
-use crate::light::{Calibration, LightError, Limits, PatternSequence};
+use crate::light::{Calibration, LightError, Limits, PatternSequence, Processing};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
@@ -216,6 +216,8 @@ pub struct Rig {
     pub timing: SequenceTiming,
     /// Limits for reconstruction.
     pub limits: Limits,
+    /// Choices for reconstruction.
+    pub processing: Processing,
 }
 
 /// Opens the devices that a configuration names.
@@ -225,6 +227,8 @@ pub struct Rig {
 pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
     config.validate()?;
     let calibration = config.calibration()?;
+    let processing = config.processing.read();
+    let processing = processing.map_err(|e| DeviceError::config("processing.gamma_file", e.to_string()))?;
     let (camera, projector): (Box<dyn Camera>, Box<dyn Projector>) =
         match (config.camera.backend, config.projector.backend) {
             (Backend::Simulated, Backend::Simulated) => {
@@ -239,5 +243,6 @@ pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
         sequence: config.sequence.clone(),
         timing: config.timing,
         limits: config.limits,
+        processing,
     })
 }

@@ -11,6 +11,7 @@ mod error;
 pub mod obj;
 pub mod picture;
 pub mod ply;
+pub mod processing_config;
 pub mod raw_folder;
 pub mod scan_export;
 pub mod scan_folder;
@@ -18,6 +19,7 @@ mod spool;
 
 pub use assemble::{MeshFile, Repairs};
 pub use error::{FileError, Result};
+pub use processing_config::ProcessingConfig;
 pub use raw_folder::RawFolder;
 pub use scan_export::{ExportFormat, ExportWriter};
 pub use scan_folder::{LoadedScan, ScanFolder};

@@ -348,6 +348,16 @@ mod tests {
 
     /// Coordinates decoded from pictures in which pixel i sees `truth_px[i]` with Gaussian-like noise of `sigma` levels.
     fn decode(sequence: &PatternSequence, direction: Direction, truth_px: &[f64], sigma: f64) -> (Vec<f32>, PixelMask) {
+        decode_levels(sequence, direction, truth_px, [20.0, 200.0], sigma)
+    }
+
+    fn decode_levels(
+        sequence: &PatternSequence,
+        direction: Direction,
+        truth_px: &[f64],
+        [dark, bright]: [f64; 2],
+        sigma: f64,
+    ) -> (Vec<f32>, PixelMask) {
         let mut state = 3u64;
         let mut noise = || {
             let mut uniform = || {
@@ -365,7 +375,7 @@ mod tests {
                     (Some(period_px), Some(shift)) => 0.5 + 0.5 * (std::f64::consts::TAU * u / period_px + shift).cos(),
                     _ => pattern.level(u.round() as u32),
                 };
-                let pixels = truth_px.iter().map(|&u| (20.0 + 180.0 * level(u) + noise()).round() as u8).collect();
+                let pixels = truth_px.iter().map(|&u| (dark + (bright - dark) * level(u) + noise()).round() as u8).collect();
                 GreyPicture::new(n, 1, pixels)
             })
             .collect();
@@ -406,6 +416,54 @@ mod tests {
             let (found, mask) = decode(&sequence, Direction::Columns, &[u; 20], 2.0);
             for (i, found) in found.iter().enumerate() {
                 prop_assert!(mask.is_kept(i) && (f64::from(*found) - u).abs() < 0.2 * period, "{found} for {u}");
+            }
+        }
+    }
+
+    /// A pixel is off by a period when the coordinate before it errs by more than 0.6 of the finer period: up to
+    /// [`MAX_DISAGREEMENT`] = 0.4 it is accepted, beyond it rejected, and from 0.6 on a wrong order is accepted again. At the
+    /// mask's least modulation, B = 15 levels, the simulated camera has sigma = 0.96 levels (read noise 0.7, shot noise of A = 25
+    /// levels at 58 electrons a level), so the low phase of two frequencies errs by sqrt(2/3) 0.96 / 15 264 / (2 pi) = 2.2 px, a
+    /// sixth of 0.6 22 px = 13.2 px. In ambient light, A = 60 levels (B/A = 0.25), it is still 4.7 sigma. A ratio r of
+    /// periods has 0.6 / (0.0083 r) sigma, six for 12; a beat of beats has the noise of 1 - 2 + 1 phases, sqrt(6) times one.
+    #[test]
+    fn at_the_least_modulation_no_kept_pixel_is_off_by_a_period() {
+        let truth: Vec<f64> = (0..40_000).map(|i| 2.0 + 906.0 * f64::from(i) / 40_000.0).collect();
+        for (sequence, share) in [
+            (PatternSequence::hierarchical(SIZE, Direction::Columns, 18.0, 10.0, 3), 0.99),
+            (PatternSequence::hierarchical(SIZE, Direction::Columns, 18.0, 6.0, 3), 0.99),
+            (PatternSequence::heterodyne(SIZE, Direction::Columns, 36.0, 4), 0.95),
+            (PatternSequence::gray_phase(SIZE, Direction::Columns, 24.0, 4), 0.95),
+        ] {
+            let (found, mask) = decode_levels(&sequence, Direction::Columns, &truth, [10.0, 41.0], 0.96);
+            let kept: Vec<usize> = (0..truth.len()).filter(|&i| mask.is_kept(i)).collect();
+            let finest_px = sequence.burst_period_px(&sequence.finest_burst());
+            for &i in &kept {
+                assert!((f64::from(found[i]) - truth[i]).abs() < 0.5 * finest_px, "{} for {}", found[i], truth[i]);
+            }
+            println!("{} pictures: {} of {} kept", sequence.patterns.len(), kept.len(), truth.len());
+            assert!(kept.len() as f64 > share * truth.len() as f64, "{:?}", mask.count());
+        }
+    }
+
+    #[test]
+    fn choices_that_the_sequence_does_not_allow_are_refused() {
+        let make = |sequence: &PatternSequence, unwrap| {
+            let processing = Processing { unwrap, ..Processing::default() };
+            AbsoluteDecoder::with(&rig(), sequence, Direction::Columns, &Limits::default(), &processing)
+        };
+        let one = PatternSequence::n_step(SIZE, Direction::Columns, 300.0, 3);
+        let decoder = make(&one, Unwrap::Geometric).unwrap().unwrap();
+        let valid = decoder.valid_depth().unwrap();
+        assert!(valid.near_mm < 510.0 && valid.far_mm > 690.0, "{valid:?}");
+        assert!(make(&one, Unwrap::Spatial).is_ok());
+        for unwrap in [Unwrap::Geometric, Unwrap::Spatial] {
+            for sequence in [
+                PatternSequence::two_frequency(SIZE, 264.0, 22.0, 3),
+                PatternSequence::gray_code(SIZE, &[Direction::Columns]),
+            ] {
+                let error = make(&sequence, unwrap).unwrap_err().to_string();
+                assert!(error.starts_with("processing.unwrap: "), "{error}");
             }
         }
     }

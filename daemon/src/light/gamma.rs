@@ -10,7 +10,7 @@
 //! Without a table: six pictures as two bursts of three, 60 degrees apart, cancel the error of three steps, sin(3 phi), to
 //! first order (double three-step, [`super::PatternSequence::double_three_step`]).
 
-use super::mask::PixelMask;
+use super::mask::{PixelMask, Rejection};
 use super::{LightError, Pattern};
 use serde::{Deserialize, Serialize};
 use std::f32::consts::TAU;
@@ -237,7 +237,7 @@ impl Board {
             let rms_px = (square / pixels.len() as f64).sqrt();
             rounds += 1;
             if rounds == 4 && rms_px <= MAX_RMS_PERIODS * finest_px {
-                return Ok(Self { pixels, true_px });
+                return Ok(Self { pixels, true_px }.with_misordered(&surface, coordinate_px, mask, finest_px));
             } else if rounds == 4 {
                 let reason = "its coordinates are no smooth surface; take a flat, evenly lit board that fills the picture";
                 return Err(LightError::field("board", reason));
@@ -245,6 +245,18 @@ impl Board {
             let good = pixels.iter().zip(&true_px).filter(|&pair| error(pair) <= 3.0 * rms_px);
             pixels = good.map(|(&i, _)| i).collect();
         }
+    }
+
+    /// Adds pixels of the board whose frequencies disagree: that is where the errors are largest.
+    fn with_misordered(mut self, surface: &Polynomial, coordinate_px: &[f32], mask: &PixelMask, finest_px: f64) -> Self {
+        for i in (0..coordinate_px.len()).filter(|&i| mask.verdicts[i] == Rejection::FringeOrder) {
+            let true_px = surface.at(i);
+            if (f64::from(coordinate_px[i]) - true_px).abs() < 1.5 * finest_px {
+                self.pixels.push(i);
+                self.true_px.push(true_px);
+            }
+        }
+        self
     }
 
     /// Measured phase and its error of every pixel.
@@ -326,7 +338,7 @@ fn solve(mut rows: [[f64; TERMS + 1]; TERMS]) -> Option<[f64; TERMS]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::{Direction, PatternSequence, Rejection};
+    use crate::light::{Direction, PatternSequence};
 
     const W: usize = 160;
     const H: usize = 120;

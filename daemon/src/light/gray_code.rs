@@ -312,6 +312,20 @@ mod tests {
     }
 
     #[test]
+    fn a_clipped_picture_rejects_the_pixel_as_saturated() {
+        let sequence = PatternSequence::gray_code([300, 200], &[Direction::Columns]);
+        for picture in [3, 18] {
+            let mut pictures = pictures(&sequence, [4, 1], 0.0, |x, _| f64::from(x) * 50.0);
+            pictures[picture].pixels[2] = 253;
+            let refs: Vec<&GreyPicture> = pictures.iter().collect();
+            let mut mask = PixelMask::new(4, 1);
+            let decoder = GrayDecoder::new(&sequence, Direction::Columns).unwrap().unwrap();
+            decoder.reject_shadow(&refs, MaskLimits::default(), &mut mask);
+            assert_eq!((mask.verdicts[2], mask.count().saturated), (Rejection::Saturated, 1), "picture {picture}");
+        }
+    }
+
+    #[test]
     fn incomplete_codes_are_refused() {
         let whole = PatternSequence::gray_code([300, 200], &[Direction::Columns]);
         assert_eq!(GrayDecoder::new(&whole, Direction::Rows).unwrap(), None);

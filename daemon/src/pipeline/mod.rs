@@ -9,3 +9,16 @@ pub use frame_set::{DropCounts, FrameSet, FrameSetAssembler};
 pub use reconstruct::{Reconstruction, Reconstructor};
 pub use record::{RecordError, RecordSettings, Recorded, record};
 pub use still::StillReconstructor;
+
+use crate::light::{Calibration, LightError, PatternSequence};
+
+/// Patterns and calibration are for the same projector.
+fn check_projector(calibration: &Calibration, sequence: &PatternSequence) -> Result<(), LightError> {
+    let [width, height] = [calibration.projector.width_px, calibration.projector.height_px];
+    if [sequence.width_px, sequence.height_px] == [width, height] {
+        return Ok(());
+    }
+    let found = format!("{} x {}", sequence.width_px, sequence.height_px);
+    let reason = format!("{found}, but the calibration's projector has {width} x {height}");
+    Err(LightError::field("sequence.width_px", reason))
+}

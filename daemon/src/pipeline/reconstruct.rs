@@ -228,6 +228,7 @@ impl Reconstructor {
         calibration.validate()?;
         sequence.validate()?;
         limits.validate()?;
+        super::check_projector(calibration, sequence)?;
         let size_px = [calibration.camera.width_px, calibration.camera.height_px];
         let [width, height] = size_px.map(|n| n as usize);
         let decoding = Decoding::new(calibration, sequence, limits, processing)?;

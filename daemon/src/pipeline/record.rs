@@ -2,7 +2,7 @@
 
 use super::{DropCounts, FrameSet, FrameSetAssembler, Reconstructor};
 use crate::device::{DeviceError, Rig};
-use crate::light::{LightError, RejectedPixels};
+use crate::light::{DepthRange, LightError, RejectedPixels};
 use gv3_codec::seed::{EncodedGroup, Encoder, EncoderConfig};
 use gv3_codec::{CodecError, Scan};
 use gv3_protocol::session::{
@@ -103,7 +103,10 @@ pub async fn record(
     settings: RecordSettings,
     mut writer: SessionWriter<SessionFile>,
 ) -> Result<Recorded, RecordError> {
-    let reconstructor = Reconstructor::new(&rig.calibration, &rig.sequence, &rig.limits)?;
+    let reconstructor = Reconstructor::with(&rig.calibration, &rig.sequence, &rig.limits, &rig.processing)?;
+    if let Some(DepthRange { near_mm, far_mm }) = reconstructor.valid_depth() {
+        info!("one frequency: fringe orders are right from {near_mm:.0} to {far_mm:.0} mm");
+    }
     let encoder = Encoder::new(settings.encoder)?;
     writer.write_stream(&encoder.header().encode())?;
     let (set_out, sets) = channel(QUEUE);
