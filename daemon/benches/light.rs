@@ -4,7 +4,10 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use gv3::device::sim::SimWorld;
 use gv3::device::{self, PatternIndex, RigConfig};
-use gv3::light::{GridMesher, PhaseExtractor, PixelMask, PointGrid, Triangulator, Unwrapper, WrappedPhase};
+use gv3::light::gamma::{BINS, BurstErrors};
+use gv3::light::{
+    GridMesher, MotionCorrector, PhaseExtractor, PixelMask, PointGrid, Triangulator, Unwrapper, WrappedPhase,
+};
 use gv3::pipeline::{FrameSet, FrameSetAssembler, Reconstructor};
 use std::time::Instant;
 
@@ -53,6 +56,21 @@ fn stages(c: &mut Criterion) {
     group.bench_function("unwrap", |b| {
         b.iter(|| unwrapper.unwrap(&low_phase.phase_rad, &high_phase.phase_rad, &mut mask, &mut column_px));
     });
+
+    let mut motion = MotionCorrector::new([640, 480], &sequence.patterns[high.clone()], 6).unwrap();
+    let mut tick = 0;
+    let mut corrected_px = column_px.clone();
+    group.bench_function("motion", |b| {
+        b.iter(|| {
+            tick += 1;
+            corrected_px.copy_from_slice(&column_px);
+            motion.correct(tick, &mask, &mut corrected_px);
+        });
+    });
+
+    let pattern = sequence.patterns[high].iter().filter_map(|p| p.shift_rad()).collect();
+    let errors = BurstErrors { period_px: 22.0, shifts_rad: pattern, error_rad: vec![1e-3; BINS] };
+    group.bench_function("gamma", |b| b.iter(|| errors.correct(&mut high_phase.phase_rad)));
 
     let triangulator = Triangulator::new(&calibration, limits.depth).unwrap();
     let mut grid = PointGrid::new(640, 480);

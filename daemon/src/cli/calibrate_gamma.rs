@@ -2,8 +2,8 @@
 
 use super::Outcome;
 use super::reconstruct::{RawCapture, named};
-use crate::light::gamma::BoardFigures;
 use crate::light::Processing;
+use crate::light::gamma::BoardFigures;
 use crate::pipeline::StillReconstructor;
 use anyhow::{Context, Result};
 use clap::Args;

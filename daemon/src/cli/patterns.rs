@@ -115,7 +115,8 @@ impl Patterns {
             Format::Bmp => PictureFormat::Bmp,
         };
         let names = PictureNames::Numbered(format!("pattern_###.{}", format.extension()));
-        let folder = RawFolder { pictures: names, first: 0, sequence, limits: None, processing: ProcessingConfig::default() };
+        let folder =
+            RawFolder { pictures: names, first: 0, sequence, limits: None, processing: ProcessingConfig::default() };
         for (index, name) in folder.names()?.iter().enumerate() {
             let path = self.out.join(name);
             let picture =

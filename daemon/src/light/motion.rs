@@ -297,7 +297,8 @@ mod tests {
     fn the_ripple_of_three_steps_is_the_rate_over_the_root_of_three() {
         let burst = &bursts()[0];
         let rate_px = 0.02;
-        let worst = (0..220).map(|i| f64::from(i) / 10.0 + 100.0).map(|u| f64::from(measured_px(burst, u, rate_px)) - u);
+        let worst =
+            (0..220).map(|i| f64::from(i) / 10.0 + 100.0).map(|u| f64::from(measured_px(burst, u, rate_px)) - u);
         let worst = worst.fold(0.0, |worst: f64, error| worst.max(error.abs()));
         assert!((worst / (rate_px / 3f64.sqrt()) - 1.0).abs() < 0.02, "{worst}");
     }

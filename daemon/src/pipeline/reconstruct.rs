@@ -11,8 +11,9 @@ use crate::light::{
 use gv3_codec::{GreyPicture, Scan};
 use std::ops::Range;
 
-/// Least change of the coded coordinate over the working range, px: less measures no depth.
-const MIN_SPAN_PX: f64 = 2.0;
+/// Least share of the other direction's change over the working range that a direction coded alone must have: less is across
+/// the baseline and measures no depth.
+const MIN_SPAN: f64 = 0.2;
 
 /// A scan and what is missing from it.
 #[derive(Debug, Clone)]
@@ -143,21 +144,12 @@ impl Decoding {
             let made = AbsoluteDecoder::with(calibration, sequence, direction, limits, processing)?;
             Ok(made.map(|decoder| Decoder { measured: decoder.room(pixels), decoder }))
         };
-        let alone = |direction: Direction| {
-            let span_px = geometric::widest_span_px(calibration, direction, limits.depth)?;
-            if span_px >= MIN_SPAN_PX {
-                return Ok(());
-            }
-            let reason = format!(
-                "code {direction:?} alone, which change by {span_px:.1} px over the working range on this rig and measure no \
-                 depth; code the other direction, along the baseline"
-            );
-            Err(LightError::field("sequence.patterns", reason))
-        };
         match (decoder(Direction::Columns)?, decoder(Direction::Rows)?) {
             (Some(columns), Some(rows)) => Ok(Self::Both(columns, rows, vec![0.0; pixels])),
-            (Some(columns), None) => alone(Direction::Columns).map(|()| Self::Columns(columns)),
-            (None, Some(rows)) => alone(Direction::Rows).map(|()| Self::Rows(rows)),
+            (Some(columns), None) => {
+                measures_depth(calibration, Direction::Columns, limits).map(|()| Self::Columns(columns))
+            }
+            (None, Some(rows)) => measures_depth(calibration, Direction::Rows, limits).map(|()| Self::Rows(rows)),
             (None, None) => Err(LightError::field("sequence.patterns", "no pattern codes columns or rows")),
         }
     }
@@ -310,6 +302,21 @@ impl Reconstructor {
             None => Ok(()),
         }
     }
+}
+
+/// Refuses a direction, coded alone, that hardly changes with depth.
+fn measures_depth(calibration: &Calibration, direction: Direction, limits: &Limits) -> Result<(), LightError> {
+    let span_px = |direction| geometric::widest_span_px(calibration, direction, limits.depth);
+    let other = if direction == Direction::Columns { Direction::Rows } else { Direction::Columns };
+    let (here_px, there_px) = (span_px(direction)?, span_px(other)?);
+    if here_px >= MIN_SPAN * there_px {
+        return Ok(());
+    }
+    let reason = format!(
+        "code {direction:?} alone, which on this rig change by {here_px:.0} px over the working range where {other:?} change by \
+         {there_px:.0} px; code {other:?}"
+    );
+    Err(LightError::field("sequence.patterns", reason))
 }
 
 /// A corrector for the burst that ends the columns' chain.

@@ -4,7 +4,8 @@ use super::Reconstruction;
 use crate::light::gamma::{BoardFigures, BoardPhase};
 use crate::light::{
     AbsoluteDecoder, Calibration, Direction, GammaTable, GridMesher, LightError, Limits, MaskLimits, MotionCorrection,
-    Pattern, PatternKind, PatternSequence, PixelMask, PointGrid, Processing, ProjectorCoordinates, grid_mesh, intersect,
+    Pattern, PatternKind, PatternSequence, PixelMask, PointGrid, Processing, ProjectorCoordinates, grid_mesh,
+    intersect,
 };
 use gv3_codec::{GreyPicture, Scan};
 
@@ -77,7 +78,8 @@ impl StillReconstructor {
             whole.bursts.extend(table.bursts);
             first = first.or(Some(figures));
         }
-        let figures = first.ok_or_else(|| LightError::field("sequence.patterns", "no fringes, so no gamma to measure"))?;
+        let figures =
+            first.ok_or_else(|| LightError::field("sequence.patterns", "no fringes, so no gamma to measure"))?;
         Ok((whole, figures))
     }
 
