@@ -3,10 +3,14 @@
 
 use gv3::device::sim::{SceneConfig, SimWorld};
 use gv3::device::{self, RigConfig};
+use gv3::files::picture::{PictureFormat, picture_bytes};
+use gv3::files::raw_folder::PictureNames;
+use gv3::files::{ProcessingConfig, RawFolder};
 use gv3::light::{Direction, GammaTable, MotionCorrection, PatternSequence, Processing};
 use gv3::pipeline::{FrameSet, FrameSetAssembler, Reconstruction, Reconstructor, StillReconstructor};
 use gv3_codec::{GreyPicture, Scan};
 use std::path::Path;
+use std::process::Command;
 use std::time::Instant;
 
 const SIZE: [u32; 2] = [912, 1140];
@@ -168,6 +172,42 @@ fn a_gamma_table_of_a_board_flattens_planes_and_heads() {
     (config.sim.read_noise_levels, config.sim.electrons_per_level) = (0.7, 58.0);
     let (before, after) = (rms_mm(&config, &Processing::default()), rms_mm(&config, &with_table));
     assert!(before > 2.0 * after, "head: {before} mm without, {after} mm with the table");
+}
+
+#[test]
+fn the_commands_make_and_use_a_gamma_table() {
+    let mut config = still(PatternSequence::two_frequency(SIZE, 264.0, 22.0, 3));
+    config.sim.scene = SceneConfig::Plane;
+    config.sim.projector_gamma = 2.2;
+    let place = tempfile::tempdir().unwrap();
+    let raw = RawFolder {
+        pictures: PictureNames::Numbered("board_#.png".into()),
+        first: 0,
+        sequence: config.sequence.clone(),
+        limits: Some(config.limits),
+        processing: ProcessingConfig::default(),
+    };
+    for (name, picture) in raw.names().unwrap().iter().zip(pictures(&config)) {
+        let path = place.path().join(name);
+        std::fs::write(&path, picture_bytes(&picture, PictureFormat::Png, &path).unwrap()).unwrap();
+    }
+    std::fs::write(place.path().join("sequence.toml"), raw.to_toml().unwrap()).unwrap();
+    std::fs::write(place.path().join("rig.toml"), config.calibration().unwrap().to_toml().unwrap()).unwrap();
+    let gv3 = |arguments: &str| -> serde_json::Value {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_gv3"));
+        let given = "--sequence sequence.toml --calibration rig.toml --json";
+        command.args(arguments.split(' ').chain(given.split(' '))).current_dir(place.path());
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let made = gv3("calibrate-gamma . -o gamma.toml");
+    let [before, after] = ["before_rad", "after_rad"].map(|key| made[key].as_f64().unwrap());
+    assert!(made["bursts"] == 2 && before > 5.0 * after, "{made}");
+    let without = gv3("reconstruct . -o without");
+    let with = gv3("reconstruct . -o with --gamma gamma.toml");
+    let misordered = |report: &serde_json::Value| report["rejected_pixels"]["fringe_order"].as_u64().unwrap();
+    assert!(misordered(&without) > 10_000 && misordered(&with) < 100, "{without} {with}");
 }
 
 /// Rigs of 3 and 6 pictures a set whose whole scene moves at a velocity.

@@ -297,9 +297,9 @@ impl Polynomial {
         let (px, py) = (legendre(scaled(i % size[0], size[0])), legendre(scaled(i / size[0], size[1])));
         let mut terms = [0.0; TERMS];
         let mut k = 0;
-        for a in 0..=DEGREE {
-            for b in 0..=DEGREE - a {
-                terms[k] = px[a] * py[b];
+        for (a, x) in px.iter().enumerate() {
+            for y in &py[..=DEGREE - a] {
+                terms[k] = x * y;
                 k += 1;
             }
         }

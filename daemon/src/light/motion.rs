@@ -11,8 +11,22 @@
 //! This is the pixel-wise counterpart of motion compensation with a known shift (P. Wissmann, R. Schmitt, F. Forster, "Fast and
 //! accurate 3D scanning using coded phase shifting and high speed pattern projection", 3DIMPVT 2011).
 //!
-//! What it cannot do: albedo that moves through a pixel, acceleration between sets (the rate is half a set old), the first set
-//! of a run and the one after a gap of more than [`MAX_GAP_SETS`].
+//! Distance of the simulated head's scans from the truth, mm root mean square (the whole head moves; noise at rest 0.048 mm for
+//! six pictures a set and 0.290 mm for three of the long period; the bias stays below a tenth of the rms):
+//!
+//! | mm/s | 6, depth | corrected | 6, sideways | corrected | 3, depth | corrected | 3, sideways | corrected |
+//! |---|---|---|---|---|---|---|---|---|
+//! | 0 | 0.048 | 0.048 | 0.048 | 0.048 | 0.290 | 0.290 | 0.290 | 0.290 |
+//! | 25 | 0.068 | 0.048 | 0.061 | 0.057 | 0.293 | 0.289 | 0.330 | 0.330 |
+//! | 50 | 0.107 | 0.048 | 0.086 | 0.075 | 0.306 | 0.292 | 0.405 | 0.403 |
+//! | 100 | 0.192 | 0.050 | 0.353 | 0.332 | 0.352 | 0.299 | 0.551 | 0.545 |
+//! | 200 | 0.347 | 0.057 | 1.881 | 1.849 | 0.490 | 0.326 | 0.899 | 0.867 |
+//!
+//! (`cargo test -p gv3 --test live_schemes -- --ignored --nocapture motion_table`.) The rate is a mean over a window, so that
+//! its noise adds nothing that can be seen at rest. What the correction cannot do: albedo and outlines that move through a
+//! pixel, which rule sideways motion (from 100 mm/s on they also cost fringe orders at outlines); acceleration between sets,
+//! since the rate is half a set old; the first set of a run, and one after a gap of more than [`MAX_GAP_SETS`]. Gray code and
+//! multi-frequency sequences of many pictures are for things at rest: their fringe orders come from long before the fringes.
 
 use super::mask::PixelMask;
 use super::phase::{PhaseExtractor, atan2_rad};

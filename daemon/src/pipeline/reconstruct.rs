@@ -74,7 +74,7 @@ struct TwoFrequency {
 #[derive(Debug, Clone)]
 enum Points {
     Columns(Triangulator),
-    Any(Intersector),
+    Any(Box<Intersector>),
 }
 
 impl TwoFrequency {
@@ -236,7 +236,7 @@ impl Reconstructor {
             decoding,
             points: match is_columns {
                 true => Points::Columns(Triangulator::new(calibration, limits.depth)?),
-                false => Points::Any(Intersector::new(calibration, limits.depth)?),
+                false => Points::Any(Box::new(Intersector::new(calibration, limits.depth)?)),
             },
             mesher: GridMesher::new(limits.mesh)?,
             mask: PixelMask::new(width, height),

@@ -176,7 +176,7 @@ fn check_levels(picture: &GreyPicture, pattern: &Pattern, limits: MaskLimits) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::{Distortion, Intrinsics, Rigid};
+    use crate::light::{Distortion, Intrinsics, Rigid, Unwrap};
     use glam::{DMat3, DVec2, DVec3};
 
     fn rig() -> Calibration {
@@ -242,6 +242,27 @@ mod tests {
             let rms_mm = (sum / scan.mesh.vertex_count() as f64).sqrt();
             assert!(rms_mm < bound_mm, "{} pictures: {rms_mm} mm", sequence.patterns.len());
         }
+    }
+
+    #[test]
+    fn one_burst_is_placed_by_a_narrow_range_or_left_out_by_name() {
+        let sequence = PatternSequence::n_step([320, 240], Direction::Columns, 16.0, 4);
+        let processing = Processing { unwrap: Unwrap::Spatial, ..Processing::default() };
+        let scan = |near_mm: f64, far_mm: f64| {
+            let mut limits = limits();
+            (limits.depth.near_mm, limits.depth.far_mm) = (near_mm, far_mm);
+            let reconstructor = StillReconstructor::with(&rig(), &sequence, &limits, &processing).unwrap();
+            reconstructor.reconstruct(&pictures(&sequence)).unwrap()
+        };
+        // A period is 80 mm of depth, so that the plane's 60 mm fit into 90 mm one way only, and into 500 mm six ways.
+        let Reconstruction { scan: placed, rejected } = scan(555.0, 645.0);
+        assert!(placed.mesh.vertex_count() > 9_000, "{} vertices, {rejected:?}", placed.mesh.vertex_count());
+        assert_eq!(placed.mesh.vertex_count() as u64 + rejected.total(), 160 * 120);
+        let worst = placed.mesh.positions_mm.iter().map(|p| (-p.z - 600.0 - 0.2 * p.x).abs()).fold(0.0, f32::max);
+        assert!(worst < 1.0, "{worst} mm");
+        let Reconstruction { scan: unplaced, rejected } = scan(400.0, 900.0);
+        assert_eq!(unplaced.mesh.vertex_count(), 0);
+        assert!(rejected.unanchored > 9_000, "{rejected:?}");
     }
 
     #[test]
