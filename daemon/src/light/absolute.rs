@@ -120,21 +120,13 @@ impl AbsoluteDecoder {
         }
         let periods_px: Vec<f64> = bursts.iter().map(|b| sequence.burst_period_px(b)).collect();
         let mut chain = fringe_signals(&periods_px);
-        let start = match (gray, processing.unwrap) {
-            (Some(gray), Unwrap::Auto) => {
-                let cell_px = f64::from(gray.cell_px());
-                chain.retain(|s| s.factors.iter().map(|k| k.abs()).sum::<i32>() == 1);
-                if let Some(first) = chain.first().filter(|s| 0.75 * s.period_px < cell_px) {
-                    let reason = format!("a Gray code of {cell_px} px cannot order fringes of {} px", first.period_px);
-                    return Err(LightError::field("sequence.patterns", reason));
-                }
-                Start::Gray(gray)
+        let start = match gray {
+            Some(gray) if processing.unwrap == Unwrap::Auto => after_gray(gray, &mut chain)?,
+            None if processing.unwrap == Unwrap::Auto => {
+                begin(calibration, sequence, direction, limits.depth, &mut chain)?
             }
-            (None, Unwrap::Auto) => begin(calibration, sequence, direction, limits.depth, &mut chain)?,
-            (None, unwrap) if bursts.len() == 1 => {
-                let geometric = || MinimumPhase::new(calibration, direction, periods_px[0], limits.depth);
-                let is_geometric = unwrap == Unwrap::Geometric;
-                if is_geometric { Start::Range(geometric()?) } else { spatial(calibration, direction, limits.depth)? }
+            None if bursts.len() == 1 => {
+                single(calibration, direction, periods_px[0], limits.depth, processing.unwrap)?
             }
             _ => {
                 let reason = "geometric and spatial take one burst of sinusoids and no Gray code; leave the key out to \
@@ -262,8 +254,29 @@ fn begin(
     Ok(Start::Range(MinimumPhase::new(calibration, direction, period_px, depth)?))
 }
 
-fn spatial(calibration: &Calibration, direction: Direction, depth: DepthRange) -> Result<Start, LightError> {
-    Ok(Start::Spatial(geometric::ranges_px(calibration, direction, depth)?))
+/// The chain after a Gray code has no use for beats.
+fn after_gray(gray: GrayDecoder, chain: &mut Vec<Signal>) -> Result<Start, LightError> {
+    let cell_px = f64::from(gray.cell_px());
+    chain.retain(|s| s.factors.iter().map(|k| k.abs()).sum::<i32>() == 1);
+    if let Some(first) = chain.first().filter(|s| 0.75 * s.period_px < cell_px) {
+        let reason = format!("a Gray code of {cell_px} px cannot order fringes of {} px", first.period_px);
+        return Err(LightError::field("sequence.patterns", reason));
+    }
+    Ok(Start::Gray(gray))
+}
+
+/// The chosen way to order one burst.
+fn single(
+    calibration: &Calibration,
+    direction: Direction,
+    period_px: f64,
+    depth: DepthRange,
+    unwrap: Unwrap,
+) -> Result<Start, LightError> {
+    Ok(match unwrap {
+        Unwrap::Spatial => Start::Spatial(geometric::ranges_px(calibration, direction, depth)?),
+        Unwrap::Geometric | Unwrap::Auto => Start::Range(MinimumPhase::new(calibration, direction, period_px, depth)?),
+    })
 }
 
 /// Takes the order of `signal` nearest to the coordinates and the signal's coordinates for them.

@@ -79,7 +79,10 @@ impl GammaTable {
     /// # Errors
     /// [`LightError`] for text that is no table, or values that cannot be one.
     pub fn from_toml(text: &str) -> Result<Self, LightError> {
-        let table: Self = toml::from_str(text).map_err(|e| LightError::Toml(e.to_string().trim_end().into()))?;
+        let table: Self = toml::from_str(text).map_err(|e| {
+            let line = 1 + e.span().map_or(0, |span| text[..span.start].matches('\n').count());
+            LightError::Toml(format!("line {line}: {}", e.message()))
+        })?;
         table.validate()?;
         Ok(table)
     }

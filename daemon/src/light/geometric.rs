@@ -165,14 +165,17 @@ fn too_short(view: View<'_>, period_px: f64, depth: DepthRange, widest_px: f64) 
         probes.iter().all(|&ray| view.span_px(ray, range) <= USABLE * period_px)
     };
     let far_mm = last_fitting(depth.near_mm, depth.far_mm, fits);
+    // Next to the lens even a millimetre is wider than the projector.
+    let narrower = match far_mm.floor() {
+        far_mm if far_mm > depth.near_mm + 1.0 => format!("far_mm = {far_mm:.0} in limits.depth for this period"),
+        _ => "the near_mm and far_mm of the scene in limits.depth".into(),
+    };
     let reason = format!(
         "the longest period or beat, {period_px:.1} px, covers neither the projector nor the working range {}..{} mm, which \
-         spans {widest_px:.0} px; add a coarser pattern, or take a period of {:.0} px or more for this range, or far_mm = {:.0} \
-         in limits.depth for this period",
+         spans {widest_px:.0} px; add a coarser pattern, or take a period of {:.0} px or more for this range, or {narrower}",
         depth.near_mm,
         depth.far_mm,
-        (widest_px / USABLE).ceil(),
-        far_mm.floor()
+        (widest_px / USABLE).ceil()
     );
     LightError::field("sequence.patterns", reason)
 }
@@ -227,6 +230,9 @@ mod tests {
         assert!(far_mm > 560.0, "{error}");
         let more = DepthRange { far_mm: far_mm + 4.0, ..range };
         assert!(MinimumPhase::new(&c, Direction::Columns, 100.0, more).is_err());
+        let unset = DepthRange { near_mm: 1.0, far_mm: 100_000.0 };
+        let error = MinimumPhase::new(&c, Direction::Columns, 100.0, unset).unwrap_err().to_string();
+        assert!(error.ends_with("or the near_mm and far_mm of the scene in limits.depth"), "{error}");
         let endless = DepthRange { far_mm: f64::INFINITY, ..range };
         assert!(MinimumPhase::new(&c, Direction::Columns, 100.0, endless).is_err());
     }

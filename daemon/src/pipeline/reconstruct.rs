@@ -424,6 +424,22 @@ mod tests {
     }
 
     #[test]
+    fn dark_and_clipped_sets_give_no_surface_and_say_why() {
+        let (sets, mut reconstructor, _) = run(&RigConfig::simulated(), 6);
+        let causes: [(u8, fn(&RejectedPixels) -> u64); 2] = [(0, |r| r.low_modulation), (255, |r| r.saturated)];
+        for (level, cause) in causes {
+            let mut set = sets[0].clone();
+            set.frames.iter_mut().for_each(|f| f.picture.pixels.fill(level));
+            let Reconstruction { scan, rejected } = reconstructor.reconstruct(&set).unwrap();
+            assert_eq!((scan.mesh.vertex_count(), cause(&rejected)), (0, 640 * 480), "{rejected:?}");
+        }
+        let mut short = sets[0].clone();
+        short.frames.pop();
+        let error = reconstructor.reconstruct(&short).unwrap_err().to_string();
+        assert_eq!(error, "frames: 5, but the sequence has 6 patterns");
+    }
+
+    #[test]
     fn pictures_of_another_size_are_refused_by_name() {
         let (mut sets, mut reconstructor, _) = run(&RigConfig::simulated(), 6);
         sets[0].frames[2].picture = GreyPicture::filled(320, 240, 0);
