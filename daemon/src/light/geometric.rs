@@ -3,7 +3,7 @@
 //! A camera pixel sees only the projector columns between those at the nearest and the farthest depth. If a period is wider
 //! than that interval, the phase on a virtual plane z_min fixes the fringe order: with the minimum phase Phi_min of the pixel
 //! on that plane, k = ceil((Phi_min - phi) / (2 pi)) (Y. An, J.-S. Hyun, S. Zhang, "Pixel-wise absolute phase unwrapping using
-//! geometric constraints of structured light system", Optics Express 24(16), 2016, equation 13). Here the plane is moved away
+//! geometric constraints of structured light system", Optics Express 24(16), 2016). Here the plane is moved away
 //! from the working range by half of what the period has to spare, so that noise at either end cannot wrap; this k is then the
 //! one that puts the coordinate nearest to the middle of the pixel's interval.
 //!
@@ -121,7 +121,7 @@ impl MinimumPhase {
         self.minimum_px.iter().map(move |minimum_px| minimum_px + half_px)
     }
 
-    /// Fringe order of pixel `i` with wrapped phase `phase_rad`: equation 13.
+    /// Fringe order of pixel `i` with wrapped phase `phase_rad`.
     ///
     /// # Panics
     /// When there is no pixel `i`.

@@ -2,9 +2,9 @@
 //!
 //! From the best pixel on, the phase grows over the picture through the best pixel at the border first, so that errors of bad
 //! pixels cannot spread to good ones (T. R. Judge, P. J. Bryanston-Cross, "A review of phase unwrapping techniques in fringe
-//! analysis", Optics and Lasers in Engineering 21, 1994; quality is the modulation, as in S. Zhang, X. Li, S.-T. Yau,
+//! analysis", Optics and Lasers in Engineering 21, 1994). Quality is the modulation, in levels (as S. Zhang, X. Li, S.-T. Yau,
 //! "Multilevel quality-guided phase unwrapping algorithm for real-time three-dimensional shape reconstruction", Applied Optics
-//! 46(1), 2007). The border is a queue of buckets by quality, so the whole costs a constant a pixel.
+//! 46(1), 2007, do with another measure), so that the border is a queue of buckets and a pixel costs a constant.
 //!
 //! Every connected piece has its own unknown whole number of periods. [`anchor`] asks the working range: a number that alone
 //! puts the piece inside it is the right one.
