@@ -196,7 +196,8 @@ impl PixelMask {
     /// Counts the rejected pixels by cause.
     pub fn count(&self) -> RejectedPixels {
         // A pass a cause vectorizes; one histogram waits for its own last store at every pixel.
-        let of = |cause: Rejection| self.verdicts.iter().map(|v| u64::from(*v == cause)).sum();
+        let in_few = |few: &[Rejection], cause| few.iter().map(|v| u8::from(*v == cause)).sum::<u8>();
+        let of = |cause: Rejection| self.verdicts.chunks(128).map(|few| u64::from(in_few(few, cause))).sum();
         RejectedPixels {
             saturated: of(Rejection::Saturated),
             low_modulation: of(Rejection::LowModulation),

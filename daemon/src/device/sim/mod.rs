@@ -5,12 +5,14 @@
 
 mod camera;
 mod face;
+mod lens;
 mod motion;
 mod noise;
 mod projector;
 mod raster;
 mod render;
 mod scene;
+mod shown;
 mod skin;
 
 use super::{DeviceError, Frame, PatternIndex, RigConfig, SequenceTiming};
@@ -18,9 +20,10 @@ use crate::light::PatternSequence;
 use glam::Vec3;
 use gv3_codec::{GreyPicture, mesh::TriMesh};
 use motion::Posture;
-use render::{Renderer, ShownPattern};
+use render::Renderer;
 use scene::Scene;
 use serde::{Deserialize, Serialize};
+use shown::ShownPattern;
 use skin::Skin;
 use std::collections::VecDeque;
 
@@ -185,6 +188,13 @@ enum Shown {
     Playing { timing: SequenceTiming, start_nanos: u64 },
 }
 
+/// Where everything is at one time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Instant {
+    posture: Posture,
+    shift_mm: Vec3,
+}
+
 /// The world: a scene, a rig and a clock.
 pub struct SimWorld {
     config: SimConfig,
@@ -192,6 +202,8 @@ pub struct SimWorld {
     skin: Skin,
     renderer: Renderer,
     posed_mm: Vec<Vec3>,
+    /// What the renderer last looked at.
+    seen: Option<Instant>,
     camera_size_px: [u32; 2],
     projector_size_px: [u32; 2],
     patterns: Vec<ShownPattern>,
@@ -217,6 +229,7 @@ impl SimWorld {
             config: config.sim.clone(),
             scene,
             posed_mm: Vec::new(),
+            seen: None,
             camera_size_px: [calibration.camera.width_px, calibration.camera.height_px],
             projector_size_px: [calibration.projector.width_px, calibration.projector.height_px],
             patterns: Vec::new(),
@@ -247,11 +260,28 @@ impl SimWorld {
         self.renderer.depth_mm(&positions_mm)
     }
 
-    /// Exposures at the start of a run reach back before time 0, so this time has a sign.
+    /// Where everything is. Exposures at the start of a run reach back before time 0, so this time has a sign.
+    fn instant(&self, time_nanos: i64) -> Instant {
+        Instant {
+            posture: Posture::at(time_nanos, self.config.seed, self.config.motion),
+            shift_mm: Vec3::from(self.config.velocity_mm_s) * (time_nanos as f64 * 1e-9) as f32,
+        }
+    }
+
     fn pose(&self, time_nanos: i64, out: &mut Vec<Vec3>) {
-        let posture = Posture::at(time_nanos, self.config.seed, self.config.motion);
-        let shift_mm = Vec3::from(self.config.velocity_mm_s) * (time_nanos as f64 * 1e-9) as f32;
+        let Instant { posture, shift_mm } = self.instant(time_nanos);
         self.scene.pose(&posture, shift_mm, out);
+    }
+
+    /// Has the renderer look at the scene, unless nothing has moved since it last did.
+    fn look(&mut self, time_nanos: i64) {
+        let instant = self.instant(time_nanos);
+        if self.seen == Some(instant) {
+            return;
+        }
+        self.scene.pose(&instant.posture, instant.shift_mm, &mut self.posed_mm);
+        self.renderer.look(&self.posed_mm, &self.skin, self.config.ambient);
+        self.seen = Some(instant);
     }
 
     /// The picture of an exposure with its middle at `time_nanos` in the light of one pattern, or in the dark.
@@ -267,11 +297,8 @@ impl SimWorld {
         for k in 0..samples {
             // Middles of equal parts of the exposure.
             let offset_nanos = exposure_nanos as i64 * (2 * k + 1 - samples) / (2 * samples);
-            let mut posed_mm = std::mem::take(&mut self.posed_mm);
-            self.pose(time_nanos as i64 + offset_nanos, &mut posed_mm);
-            self.posed_mm = posed_mm;
-            let shown = pattern.and_then(|p| self.patterns.get(usize::from(p.0)));
-            self.renderer.add_light(&self.posed_mm, &self.skin, shown, self.config.ambient);
+            self.look(time_nanos as i64 + offset_nanos);
+            self.renderer.add_light(pattern.and_then(|p| self.patterns.get(usize::from(p.0))));
         }
         self.renderer.develop(exposure_nanos, &self.config, picture_number)
     }

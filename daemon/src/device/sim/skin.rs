@@ -1,7 +1,8 @@
 //! Albedo of the face, fixed to the material: skin with speckle and pores, brows, lips, eyes.
 
-use super::face::{self, EYE_X_MM, EYE_Y_MM, bump, smoothstep};
-use super::noise;
+use super::face::{self, EYE_X_MM, EYE_Y_MM, bump, smoothstep, squared};
+use super::noise::{self, Normals};
+use super::raster::whole;
 use super::{Finish, Region};
 use gv3_codec::GreyPicture;
 
@@ -70,11 +71,14 @@ impl Skin {
     /// Albedo at a place in the map, bilinear.
     #[inline]
     pub fn albedo(&self, texel: [f32; 2]) -> f32 {
-        let x = texel[0].clamp(0.0, (WIDTH - 2) as f32);
-        let y = texel[1].clamp(0.0, (HEIGHT - 2) as f32);
-        let (column, row) = (x as i32, y as i32);
-        let (fx, fy) = (x - column as f32, y - row as f32);
-        let at = row as usize * WIDTH + column as usize;
+        let within = |v: f32, last: usize| {
+            let v = if v > 0.0 { v } else { 0.0 };
+            if v < last as f32 { v } else { last as f32 }
+        };
+        let (x, y) = (within(texel[0], WIDTH - 2), within(texel[1], HEIGHT - 2));
+        let (column, row) = (whole(x), whole(y));
+        let (fx, fy) = (x - column as u32 as i32 as f32, y - row as u32 as i32 as f32);
+        let at = row * WIDTH + column;
         let t = &self.texels[at..at + WIDTH + 2];
         let low = t[0] + fx * (t[1] - t[0]);
         let high = t[WIDTH] + fx * (t[WIDTH + 1] - t[WIDTH]);
@@ -114,14 +118,14 @@ fn with_features(x: f32, y: f32, skin: f32, hair: f32) -> f32 {
     let brow = smoothstep(4.6, 2.0, (y - brow_line).abs()) * smoothstep(11.0, 16.0, ax) * smoothstep(55.0, 44.0, ax);
     paint(brow * (0.72 + 0.2 * hair), 0.24);
     let from_line = y - face::mouth_line_mm(x);
-    let upper_edge = 7.2 * (1.0 - (ax / 27.0).powi(2)) - 1.2 * bump(x, 0.0, [0.0, 0.0], [3.0, 1.0]);
-    let lower_edge = 9.5 * (1.0 - (ax / 26.0).powi(2));
+    let upper_edge = 7.2 * (1.0 - squared(ax / 27.0)) - 1.2 * bump(x, 0.0, [0.0, 0.0], [3.0, 1.0]);
+    let lower_edge = 9.5 * (1.0 - squared(ax / 26.0));
     let edge = if from_line > 0.0 { upper_edge } else { lower_edge };
     paint(0.9 * smoothstep(0.8, -0.8, from_line.abs() - edge), 0.68 * skin);
     paint(smoothstep(1.2, 0.5, from_line.abs()) * smoothstep(28.0, 24.0, ax), 0.22);
     paint(0.9 * bump(ax, y, [6.5, -28.5], [2.6, 1.7]), 0.12);
     let eye = face::inside_eye(x, y);
-    let r = (ax - EYE_X_MM).hypot(y - EYE_Y_MM);
+    let r = (squared(ax - EYE_X_MM) + squared(y - EYE_Y_MM)).sqrt();
     let ball = if r < 2.4 { 0.1 } else { 0.28 + 0.42 * smoothstep(5.4, 6.4, r) };
     paint(eye, ball);
     let [low, high] = face::lid_edges(ax - EYE_X_MM);
@@ -132,8 +136,8 @@ fn with_features(x: f32, y: f32, skin: f32, hair: f32) -> f32 {
 
 /// Smooth noise of unit variance: white noise after three box means of the given radius in texels.
 fn grain(seed: u64, radius: usize) -> Vec<f32> {
-    let base = noise::hash(seed);
-    let mut field: Vec<f32> = (0..WIDTH * HEIGHT).map(|i| noise::normal(base.wrapping_add(i as u64))).collect();
+    let (base, normals) = (noise::hash(seed), Normals::table());
+    let mut field: Vec<f32> = (0..WIDTH * HEIGHT).map(|i| normals.at(base.wrapping_add(i as u64))).collect();
     for _ in 0..3 {
         field = box_mean_transposed(&field, WIDTH, HEIGHT, radius);
         field = box_mean_transposed(&field, HEIGHT, WIDTH, radius);
