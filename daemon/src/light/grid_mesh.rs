@@ -285,14 +285,7 @@ impl RowEmitter {
     }
 
     /// Numbers the pixels in use from `next` on and gathers their points; without branches, since outlines are ragged.
-    fn push_vertices(
-        &mut self,
-        pixels: Range<usize>,
-        points_mm: &[Vec3],
-        column_uv: &[f32],
-        row_uv: f32,
-        next: u32,
-    ) {
+    fn push_vertices(&mut self, pixels: Range<usize>, points_mm: &[Vec3], column_uv: &[f32], row_uv: f32, next: u32) {
         std::mem::swap(&mut self.vertex, &mut self.vertex_above);
         for vertices in [&mut self.vertex, &mut self.vertex_above] {
             vertices.resize(points_mm.len(), 0);

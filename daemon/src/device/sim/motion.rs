@@ -63,11 +63,7 @@ impl Posture {
             pucker: 0.7 * speech * swing(t + 0.3, 0.95),
             blink: amount * if blink_phase < 1.0 { swing(blink_phase, 1.0) } else { 0.0 },
             brow: 0.9 * amount * squared(swing(t, 0.31)),
-            rotation: turned(
-                YAW_RAD + 0.035 * sway(1, 0.27),
-                0.03 * sway(2, 0.34),
-                0.015 * sway(3, 0.21),
-            ),
+            rotation: turned(YAW_RAD + 0.035 * sway(1, 0.27), 0.03 * sway(2, 0.34), 0.015 * sway(3, 0.21)),
             centre_mm: CENTRE_MM + Vec3::new(2.5 * sway(4, 0.19), 2.0 * sway(5, 0.24), 3.0 * sway(6, 0.16)),
         }
     }

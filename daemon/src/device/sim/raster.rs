@@ -1,5 +1,7 @@
 //! Triangles to pixels.
 
+use glam::Vec4;
+
 /// 1.5 * 2^23: added to a number it leaves the nearest whole number in the low bits of the mantissa, for 0..2^22.
 const ROUNDER: f32 = 12_582_912.0;
 
@@ -15,73 +17,135 @@ pub fn whole(v: f32) -> usize {
     nearest(v - 0.5)
 }
 
-#[inline(always)]
-fn smaller(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
+/// Weights this far outside a triangle are inside, so that neighbours leave no gap.
+const TOLERANCE: f32 = 1e-5;
+/// Added to a bound before it is rounded: a little less than a half, so that no pixel of the tolerance is missed.
+const REACH: f32 = 0.4999;
+
+/// Four triangles as the raster needs them: first and last pixel, and weights of the second and third corner at the first
+/// pixel with their steps to the right and down.
+struct Four {
+    first: [[f32; 4]; 2],
+    last: [[f32; 4]; 2],
+    at_first: [[f32; 4]; 2],
+    right: [[f32; 4]; 2],
+    down: [[f32; 4]; 2],
+    /// Neither degenerate, nor outside the picture, nor with a corner that is no number.
+    is_drawn: u32,
 }
 
-#[inline(always)]
-fn larger(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
+impl Four {
+    /// From corners by axis; four at once, since triangles of a scan or of the head are about as large as a pixel, so that
+    /// this is most of the work.
+    #[inline(always)]
+    fn new([[ax, ay], [bx, by], [cx, cy]]: [[Vec4; 2]; 3], right_px: f32, bottom_px: f32) -> Self {
+        let (abx, aby, acx, acy) = (bx - ax, by - ay, cx - ax, cy - ay);
+        let area = abx * acy - aby * acx;
+        let inverse = Vec4::ONE / area;
+        let rounder = Vec4::splat(ROUNDER);
+        let low =
+            |a: Vec4, b: Vec4, c: Vec4| (a.min(b).min(c).max(Vec4::ZERO) + Vec4::splat(REACH) + rounder) - rounder;
+        let high = |a: Vec4, b: Vec4, c: Vec4, most: f32| {
+            (a.max(b).max(c).min(Vec4::splat(most)) - Vec4::splat(REACH) + rounder) - rounder
+        };
+        let (x0, y0) = (low(ax, bx, cx), low(ay, by, cy));
+        let (x1, y1) = (high(ax, bx, cx, right_px), high(ay, by, cy, bottom_px));
+        let (b_x, b_y, c_x, c_y) = (acy * inverse, -acx * inverse, -aby * inverse, abx * inverse);
+        let (dx, dy) = (x0 - ax, y0 - ay);
+        // The steps of a triangle without area are no numbers or infinite.
+        let is_finite = (b_x + b_y + c_x + c_y).abs().cmplt(Vec4::MAX);
+        let is_within = x0.cmple(x1) & y0.cmple(y1) & x1.cmpge(Vec4::ZERO) & y1.cmpge(Vec4::ZERO);
+        Self {
+            first: [x0, y0].map(|v| v.to_array()),
+            last: [x1, y1].map(|v| v.to_array()),
+            at_first: [dx * b_x + dy * b_y, dx * c_x + dy * c_y].map(|v| v.to_array()),
+            right: [b_x, c_x].map(|v| v.to_array()),
+            down: [b_y, c_y].map(|v| v.to_array()),
+            is_drawn: (is_finite & is_within).bitmask(),
+        }
+    }
 }
 
-/// Calls `visit(pixel, b, c)` for every pixel centre inside a triangle (corners in pixels, image y down), either way round; `b`
-/// and `c` are the weights of the second and third corner. Edges count as inside, so that neighbours leave no gap. A corner
-/// that is not a number leaves the triangle out.
+/// Calls `visit(triangle, pixel, b, c)` for every pixel centre inside every triangle, in order, either way round; `px` gives
+/// the place of a corner (image y down), `b` and `c` are the weights of the second and third corner. Edges count as inside. A
+/// corner that is not a number leaves its triangles out.
 #[inline(always)]
 pub fn for_each_pixel(
-    corners: [[f32; 2]; 3],
-    width_px: usize,
-    height_px: usize,
-    mut visit: impl FnMut(usize, f32, f32),
+    triangles: &[[u32; 3]],
+    px: impl Fn(u32) -> [f32; 2],
+    [width_px, height_px]: [usize; 2],
+    mut visit: impl FnMut(&[u32; 3], usize, f32, f32),
 ) {
-    /// Weights this far outside are inside; the bounds reach a little further than whole pixels for the same reason.
-    const TOLERANCE: f32 = 1e-5;
-    const REACH: f32 = 0.4999;
-    let [[ax, ay], [bx, by], [cx, cy]] = corners;
-    let (right, bottom) = ((width_px - 1) as f32, (height_px - 1) as f32);
-    let (low_x, low_y) = (smaller(smaller(ax, bx), cx), smaller(smaller(ay, by), cy));
-    let (high_x, high_y) = (larger(larger(ax, bx), cx), larger(larger(ay, by), cy));
-    let (abx, aby, acx, acy) = (bx - ax, by - ay, cx - ax, cy - ay);
-    let area = abx * acy - aby * acx;
-    let is_outside = (low_x > right) | (low_y > bottom) | (high_x < 0.0) | (high_y < 0.0);
-    if is_outside | (area == 0.0) | !area.is_finite() {
-        return;
+    let (right_px, bottom_px) = ((width_px - 1) as f32, (height_px - 1) as f32);
+    for group in triangles.chunks(4) {
+        let last = group.len() - 1;
+        let corner = |k: usize| {
+            let [p, q, r, s] = [0, 1, 2, 3].map(|i: usize| px(group[i.min(last)][k]));
+            [Vec4::new(p[0], q[0], r[0], s[0]), Vec4::new(p[1], q[1], r[1], s[1])]
+        };
+        let four = Four::new([corner(0), corner(1), corner(2)], right_px, bottom_px);
+        for (k, triangle) in group.iter().enumerate().filter(|(k, _)| four.is_drawn >> k & 1 != 0) {
+            four.draw(k, width_px, height_px, |i, b, c| visit(triangle, i, b, c));
+        }
     }
-    let (x0, y0) = (nearest(larger(low_x, 0.0) + REACH), nearest(larger(low_y, 0.0) + REACH));
-    let (x1, y1) = (nearest(smaller(high_x, right) - REACH), nearest(smaller(high_y, bottom) - REACH));
-    let inverse = 1.0 / area;
-    let (b_x, b_y) = (acy * inverse, -acx * inverse);
-    let (c_x, c_y) = (-aby * inverse, abx * inverse);
-    for y in y0..=y1 {
-        let dy = y as u32 as i32 as f32 - ay;
-        let (b_row, c_row) = (dy * b_y, dy * c_y);
-        for x in x0..=x1 {
-            let dx = x as u32 as i32 as f32 - ax;
-            let (b, c) = (b_row + dx * b_x, c_row + dx * c_x);
-            if (b >= -TOLERANCE) & (c >= -TOLERANCE) & (b + c <= 1.0 + TOLERANCE) {
-                visit(y * width_px + x, b, c);
+}
+
+impl Four {
+    /// Visits the pixels of triangle `k`, two by two at once: loops over the bounds of so few would only be guessed wrong.
+    #[inline(always)]
+    fn draw(&self, k: usize, width_px: usize, height_px: usize, mut visit: impl FnMut(usize, f32, f32)) {
+        let [x0, y0] = self.first.map(|axis| nearest(axis[k]));
+        let [x1, y1] = self.last.map(|axis| nearest(axis[k]));
+        let ([b_x, c_x], [b_y, c_y]) = (self.right.map(|w| w[k]), self.down.map(|w| w[k]));
+        let b_block = Vec4::splat(self.at_first[0][k]) + Vec4::new(0.0, b_x, b_y, b_x + b_y);
+        let c_block = Vec4::splat(self.at_first[1][k]) + Vec4::new(0.0, c_x, c_y, c_x + c_y);
+        for y in (y0..=y1).step_by(2) {
+            for x in (x0..=x1).step_by(2) {
+                let (right, down) = (float(x - x0), float(y - y0));
+                let b = b_block + Vec4::splat(right * b_x + down * b_y);
+                let c = c_block + Vec4::splat(right * c_x + down * c_y);
+                let low = Vec4::splat(-TOLERANCE);
+                let is_inside = b.cmpge(low) & c.cmpge(low) & (b + c).cmple(Vec4::splat(1.0 + TOLERANCE));
+                // Beyond the picture's last column and row there are no pixels.
+                let mut bits = is_inside.bitmask() & (0b0101 | u32::from(x < width_px - 1) * 0b1010);
+                bits &= 0b0011 | u32::from(y < height_px - 1) * 0b1100;
+                let (b, c) = (b.to_array(), c.to_array());
+                while bits != 0 {
+                    let k = bits.trailing_zeros() as usize & 3;
+                    visit((y + k / 2) * width_px + x + k % 2, b[k], c[k]);
+                    bits &= bits - 1;
+                }
             }
         }
     }
 }
 
+/// A pixel's number as a coordinate; 32 bits, which convert fastest.
+#[inline(always)]
+fn float(v: usize) -> f32 {
+    v as u32 as i32 as f32
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::sim::noise;
 
     #[test]
     fn two_triangles_cover_a_rectangle_without_gaps() {
-        let corners = [[1.3, 2.1], [17.7, 2.4], [1.1, 12.9], [17.2, 12.6]];
+        let corners = [[1.3, 2.1], [17.7, 2.4], [1.1, 12.9], [17.2, 12.6f32]];
         let mut hits = vec![0; 20 * 15];
-        for [a, b, c] in [[0, 2, 1], [1, 2, 3]] {
-            let corners: [[f32; 2]; 3] = [corners[a], corners[b], corners[c]];
-            for_each_pixel(corners, 20, 15, |i, b, c| {
-                let place = |k: usize| (1.0 - b - c) * corners[0][k] + b * corners[1][k] + c * corners[2][k];
+        for_each_pixel(
+            &[[0, 2, 1], [1, 2, 3]],
+            |v| corners[v as usize],
+            [20, 15],
+            |t, i, b, c| {
+                let [p, q, r] = t.map(|v| corners[v as usize]);
+                let place = |k: usize| (1.0 - b - c) * p[k] + b * q[k] + c * r[k];
                 assert!((place(0) - (i % 20) as f32).abs() < 1e-4 && (place(1) - (i / 20) as f32).abs() < 1e-4);
                 hits[i] += 1;
-            });
-        }
+            },
+        );
         for y in 3..=12 {
             assert!(hits[y * 20 + 2..y * 20 + 18].iter().all(|&h| h >= 1), "row {y}");
         }
@@ -89,19 +153,46 @@ mod tests {
     }
 
     #[test]
+    fn small_triangles_hit_what_exact_arithmetic_says() {
+        // A fan of slivers and small triangles, some across the borders; corners off the pixels' rows and columns.
+        let at = |i: u32, k: u32| (noise::hash(u64::from(i * 2 + k)) % 4000) as f32 * 0.0037 - 2.013;
+        let px = |v: u32| [at(v / 3 * 3, 0) + 0.2 * at(v + 9000, 0), at(v / 3 * 3, 1) + 0.2 * at(v + 9000, 1)];
+        let triangles: Vec<[u32; 3]> = (0..999).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        let mut found = vec![0u32; triangles.len()];
+        for_each_pixel(&triangles, px, [9, 7], |t, _, _, _| found[t[0] as usize / 3] += 1);
+        for (triangle, found) in triangles.iter().zip(found) {
+            let [a, b, c] = triangle.map(|v| px(v).map(f64::from));
+            let side =
+                |p: [f64; 2], q: [f64; 2], x: f64, y: f64| (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]);
+            let area = side(a, b, c[0], c[1]);
+            let inside = |margin: f64| {
+                let hit = |(x, y)| [(a, b), (b, c), (c, a)].iter().all(|(p, q)| side(*p, *q, x, y) / area >= -margin);
+                (0..63).filter(|i| hit((f64::from(i % 9), f64::from(i / 9)))).count() as u32
+            };
+            // Single precision weighs a sliver's corners less exactly.
+            let margin = 1e-4 + 3e-5 / area.abs();
+            assert!((inside(-margin)..=inside(margin)).contains(&found), "{a:?} {b:?} {c:?}: {found}");
+        }
+    }
+
+    #[test]
     fn triangles_outside_the_picture_are_clipped() {
-        let mut count = 0;
-        for_each_pixel([[-5.0, -5.0], [30.0, -5.0], [-5.0, 30.0]], 4, 3, |_, _, _| count += 1);
-        assert_eq!(count, 12);
+        let count = |corners: [[f32; 2]; 3]| {
+            let mut count = 0;
+            for_each_pixel(&[[0, 1, 2]], |v| corners[v as usize], [4, 3], |_, _, _, _| count += 1);
+            count
+        };
+        assert_eq!(count([[-5.0, -5.0], [30.0, -5.0], [-5.0, 30.0]]), 12);
         let outside = [
             [[-5.0, -5.0], [-1.0, -5.0], [-5.0, -1.0]],
             [[-0.4, -5.0], [-0.1, 5.0], [-5.0, -1.0]],
             [[3.2, 0.0], [3.4, 5.0], [9.0, -1.0]],
             [[0.0, f32::NAN], [30.0, 0.0], [0.0, 30.0]],
             [[0.0, 1e38], [30.0, -1e38], [0.0, 30.0]],
+            [[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]],
         ];
         for corners in outside {
-            for_each_pixel(corners, 4, 3, |i, _, _| panic!("{i} is inside {corners:?}"));
+            assert_eq!(count(corners), 0, "{corners:?}");
         }
     }
 

@@ -31,6 +31,8 @@ const SHADOW_CELL_PX: f32 = 4.0;
 const SHADOW_STEP: usize = 2;
 /// Surfaces this close behind the one in the shadow map are lit, mm.
 const SHADOW_BIAS_MM: f32 = 3.0;
+/// Pixels that are told to see nothing at once.
+const GROUP_PX: usize = 32;
 /// Nothing nearer than this is seen or throws a shadow, mm.
 const NEAREST_MM: f32 = 10.0;
 
@@ -43,23 +45,30 @@ struct Corner {
     seen: Vec4,
 }
 
-/// Vertices on their way to [`Corner`]s, each number by itself so that the loop over them vectorizes.
-#[derive(Debug, Clone, Default)]
-struct Lanes {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    z: Vec<f32>,
-    normal: [Vec<f32>; 3],
-    px: [Vec<f32>; 2],
-    inverse_depth: Vec<f32>,
-    diffuse: Vec<f32>,
-    specular: Vec<f32>,
+/// Vertices that are shaded together.
+const LANES: usize = 12;
+
+/// Vertices with their normals (of any length), each number by itself so that the loop over them vectorizes.
+#[derive(Debug, Clone, Copy, Default)]
+struct Bare {
+    position_mm: [[f32; LANES]; 3],
+    normal: [[f32; LANES]; 3],
+    strength: [f32; LANES],
+}
+
+/// What [`Bare`] vertices are to the camera.
+#[derive(Debug, Clone, Copy, Default)]
+struct Shaded {
+    px: [[f32; LANES]; 2],
+    inverse_depth: [f32; LANES],
+    diffuse: [f32; LANES],
+    specular: [f32; LANES],
 }
 
 /// What the camera sees at one instant, whatever the projector shows; row-major.
 #[derive(Debug, Clone)]
 struct View {
-    /// Pixels of every row from the first to the last that sees a surface.
+    /// Pixels of every row outside of which none sees a surface.
     spans: Vec<Range<usize>>,
     /// Light without the projector.
     dark: Vec<f32>,
@@ -81,7 +90,6 @@ pub struct Renderer {
     /// The pixels' rays in the projector's axes.
     rays: [Vec<f32>; 3],
     surface: Surface,
-    lanes: Lanes,
     corners: Vec<Corner>,
     inverse_depth: Vec<f32>,
     seen: Vec<Vec4>,
@@ -109,7 +117,7 @@ struct Surface {
 }
 
 impl Surface {
-    fn new(scene: &Scene, regions: &[Region]) -> Self {
+    fn new(scene: &Scene, skin: &Skin, regions: &[Region]) -> Self {
         let (shadow_vertices, shadow_triangles) = scene.shadow_mesh(SHADOW_STEP);
         let rest_mm = scene.rest_mm();
         Self {
@@ -117,7 +125,10 @@ impl Surface {
             shadow_vertices,
             shadow_triangles,
             fixed_normals: scene.fixed_normals().map(<[Vec3]>::to_vec),
-            texels: rest_mm.iter().map(|p| Skin::texel_of(p.x, p.y)).collect(),
+            texels: match scene.uv() {
+                Some(uv) => uv.iter().map(|uv| skin.texel_of_uv(*uv)).collect(),
+                None => rest_mm.iter().map(|p| Skin::texel_of(p.x, p.y)).collect(),
+            },
             strengths: rest_mm.iter().map(|p| specular_strength(p.x, p.y, regions)).collect(),
         }
     }
@@ -128,7 +139,7 @@ impl Renderer {
     ///
     /// # Errors
     /// [`LightError::Field`] for a calibration that cannot work.
-    pub fn new(calibration: &Calibration, scene: &Scene, regions: &[Region]) -> Result<Self, LightError> {
+    pub fn new(calibration: &Calibration, scene: &Scene, skin: &Skin, regions: &[Region]) -> Result<Self, LightError> {
         calibration.validate()?;
         let rotation = calibration.projector_from_camera.matrix();
         let rays: Vec<Vec3> =
@@ -151,8 +162,7 @@ impl Renderer {
             translation_mm,
             light_mm: scan_from_camera(-(rotation.as_mat3().transpose() * translation_mm)),
             rays: [0, 1, 2].map(|axis| rays.iter().map(|ray| ray[axis]).collect()),
-            surface: Surface::new(scene, regions),
-            lanes: Lanes::default(),
+            surface: Surface::new(scene, skin, regions),
             corners: Vec::new(),
             inverse_depth: zeros.clone(),
             seen: vec![Vec4::ZERO; pixels],
@@ -163,6 +173,11 @@ impl Renderer {
             shadow_corners: Vec::new(),
             shadow: vec![0.0; shadow_size[0] * shadow_size[1]],
         })
+    }
+
+    /// Puts another scene in the place of the one so far.
+    pub fn set_scene(&mut self, scene: &Scene, skin: &Skin, regions: &[Region]) {
+        self.surface = Surface::new(scene, skin, regions);
     }
 
     /// Forgets the light gathered so far.
@@ -208,7 +223,8 @@ impl Renderer {
     pub fn develop(&self, exposure_nanos: u64, config: &SimConfig, picture_number: u64) -> GreyPicture {
         let [width, height] = self.camera.size_px;
         let gain = GAIN_LEVELS * exposure_nanos as f32 / NOMINAL_EXPOSURE_NANOS / self.instants.max(1) as f32;
-        let (read_variance, per_electron) = (config.read_noise_levels * config.read_noise_levels, 1.0 / config.electrons_per_level);
+        let (read_variance, per_electron) =
+            (config.read_noise_levels * config.read_noise_levels, 1.0 / config.electrons_per_level);
         let seed = noise::hash(noise::hash(config.seed) ^ picture_number);
         let normals = Normals::table();
         let mut noise = vec![0.0; width];
@@ -226,31 +242,36 @@ impl Renderer {
         GreyPicture::new(width as u32, height as u32, pixels)
     }
 
-    /// Depth of every camera pixel, mm, 0 where there is no surface.
-    pub fn depth_mm(&mut self, positions_mm: &[Vec3]) -> Vec<f32> {
-        self.place_corners(positions_mm);
-        self.draw_camera_view();
+    /// Depth of every camera pixel at the last look, mm, 0 where there is no surface.
+    pub fn depth_mm(&self) -> Vec<f32> {
         self.inverse_depth.iter().map(|&i| if i > 0.0 { 1.0 / i } else { 0.0 }).collect()
     }
 
     fn place_corners(&mut self, positions_mm: &[Vec3]) {
         self.corners.resize(positions_mm.len(), Corner::default());
-        let rows = positions_mm.len().div_ceil(COLUMNS);
-        for row in 0..rows {
-            let span = row * COLUMNS..positions_mm.len().min((row + 1) * COLUMNS);
-            let here = &positions_mm[span.clone()];
-            self.lanes.resize(here.len());
-            self.lanes.set_positions(here);
-            if let Some(normals) = &self.surface.fixed_normals {
-                self.lanes.set_normals(&normals[span.clone()]);
-            } else {
-                let above = &positions_mm[row.saturating_sub(1) * COLUMNS..][..COLUMNS];
-                let below = &positions_mm[(row + 1).min(rows - 1) * COLUMNS..][..COLUMNS];
-                self.lanes.set_grid_normals(above, here, below);
+        let count = positions_mm.len();
+        let surface = &self.surface;
+        let mut corners = std::mem::take(&mut self.corners);
+        for first in (0..count).step_by(LANES) {
+            let mut bare = Bare::default();
+            for k in 0..LANES {
+                let i = (first + k).min(count - 1);
+                let normal = surface.fixed_normals.as_ref().map_or_else(|| grid_normal(positions_mm, i), |n| n[i]);
+                bare.strength[k] = surface.strengths[i];
+                for axis in 0..3 {
+                    bare.position_mm[axis][k] = positions_mm[i][axis];
+                    bare.normal[axis][k] = normal[axis];
+                }
             }
-            self.lanes.shade(&self.camera, self.light_mm, &self.surface.strengths[span.clone()]);
-            self.lanes.store(&self.surface.texels[span.clone()], &mut self.corners[span]);
+            let shaded = shade(&bare, &self.camera, self.light_mm);
+            let vertices = corners[first..].iter_mut().zip(&surface.texels[first..]);
+            for (k, (corner, texel)) in vertices.take(LANES).enumerate() {
+                corner.px = shaded.px.map(|axis| axis[k]);
+                corner.inverse_depth = shaded.inverse_depth[k];
+                corner.seen = Vec4::new(texel[0], texel[1], shaded.diffuse[k], shaded.specular[k]);
+            }
         }
+        self.corners = corners;
     }
 
     fn draw_shadow_map(&mut self, positions_mm: &[Vec3]) {
@@ -264,52 +285,61 @@ impl Renderer {
             // Cell i holds projector pixels from i * SHADOW_CELL_PX on, so its centre is half a cell further.
             [(x + 0.5) / SHADOW_CELL_PX - 0.5, (y + 0.5) / SHADOW_CELL_PX - 0.5, inverse]
         }));
-        let shadow = &mut self.shadow[..width * height];
-        for triangle in &self.surface.shadow_triangles {
-            let [p, q, r] = triangle.map(|v| self.shadow_corners[v as usize]);
-            for_each_pixel([[p[0], p[1]], [q[0], q[1]], [r[0], r[1]]], width, height, |i, b, c| {
-                let inverse = p[2] + b * (q[2] - p[2]) + c * (r[2] - p[2]);
-                shadow[i] = if inverse > shadow[i] { inverse } else { shadow[i] };
-            });
-        }
+        let (shadow, corners) = (&mut self.shadow[..width * height], &self.shadow_corners[..]);
+        let px = |v: u32| [corners[v as usize][0], corners[v as usize][1]];
+        for_each_pixel(&self.surface.shadow_triangles, px, self.shadow_size, |triangle, i, b, c| {
+            let [p, q, r] = triangle.map(|v| corners[v as usize][2]);
+            let inverse = p + b * (q - p) + c * (r - p);
+            shadow[i] = if inverse > shadow[i] { inverse } else { shadow[i] };
+        });
     }
 
     fn draw_camera_view(&mut self) {
         let [width, height] = self.camera.size_px;
         self.inverse_depth.fill(0.0);
         let (depth, seen) = (&mut self.inverse_depth[..width * height], &mut self.seen[..width * height]);
-        for triangle in &self.surface.triangles {
-            let [p, q, r] = triangle.map(|v| &self.corners[v as usize]);
-            for_each_pixel([p.px, q.px, r.px], width, height, |i, b, c| {
+        let corners = &self.corners[..];
+        for_each_pixel(
+            &self.surface.triangles,
+            |v| corners[v as usize].px,
+            self.camera.size_px,
+            |triangle, i, b, c| {
+                let [p, q, r] = triangle.map(|v| &corners[v as usize]);
                 let inverse =
                     p.inverse_depth + b * (q.inverse_depth - p.inverse_depth) + c * (r.inverse_depth - p.inverse_depth);
                 if inverse > depth[i] {
                     depth[i] = inverse;
                     seen[i] = p.seen + b * (q.seen - p.seen) + c * (r.seen - p.seen);
                 }
-            });
-        }
+            },
+        );
     }
 
     /// Fills one row of the view.
     fn look_at_row(&mut self, y: usize, skin: &Skin, ambient: f32) {
         let width = self.camera.size_px[0];
         let depth = &self.inverse_depth[y * width..][..width];
-        let first = depth.iter().position(|i| *i > 0.0).unwrap_or(width);
-        let span = first..depth.iter().rposition(|i| *i > 0.0).map_or(first, |last| last + 1);
+        // Whole groups, since a test of every pixel by itself would cost as much as what it saves.
+        let is_seen = |group: &[f32]| group.iter().fold(false, |seen, i| seen | (*i > 0.0));
+        let first = depth.chunks(GROUP_PX).position(is_seen).unwrap_or(0) * GROUP_PX;
+        let span = first..depth.chunks(GROUP_PX).rposition(is_seen).map_or(0, |last| (last + 1) * GROUP_PX).min(width);
         let pixels = y * width + span.start..y * width + span.end;
         self.view.spans[y] = span;
         self.find_projector_px(pixels.clone());
-        let view = &mut self.view;
-        for i in pixels {
-            let is_surface = self.inverse_depth[i] > 0.0;
-            let [u, v, diffuse, specular] = self.seen[i].to_array();
+        let [columns, rows] = &self.view.projector_px;
+        let (columns, rows) = (&columns[pixels.clone()], &rows[pixels.clone()]);
+        let (depth, seen) = (&self.inverse_depth[pixels.clone()], &self.seen[pixels.clone()]);
+        let (dark, response) = (&mut self.view.dark[pixels.clone()], &mut self.view.response[pixels]);
+        let lights = dark.iter_mut().zip(response);
+        for ((((dark, response), seen), depth), (column, row)) in
+            lights.zip(seen).zip(depth).zip(columns.iter().zip(rows))
+        {
+            let [u, v, diffuse, specular] = seen.to_array();
             let albedo = skin.albedo([u, v]);
-            let px = [view.projector_px[0][i], view.projector_px[1][i]];
             // Until here the response holds the inverse of the depth before the projector.
-            let lit = is_lit(&self.shadow, self.shadow_size, px, view.response[i]);
-            view.dark[i] = if is_surface { albedo * ambient } else { BACKGROUND };
-            view.response[i] = if is_surface & lit { albedo * diffuse + specular } else { 0.0 };
+            let is_lit = is_lit(&self.shadow, self.shadow_size, [*column, *row], *response) & (*depth > 0.0);
+            *dark = if *depth > 0.0 { albedo * ambient } else { BACKGROUND };
+            *response = if is_lit { albedo * diffuse + specular } else { 0.0 };
         }
     }
 
@@ -333,83 +363,50 @@ impl Renderer {
     }
 }
 
-impl Lanes {
-    fn resize(&mut self, n: usize) {
-        let [nx, ny, nz] = &mut self.normal;
-        let [px, py] = &mut self.px;
-        let lanes = [&mut self.x, &mut self.y, &mut self.z, nx, ny, nz, px, py];
-        for lane in lanes.into_iter().chain([&mut self.inverse_depth, &mut self.diffuse, &mut self.specular]) {
-            lane.resize(n, 0.0);
-        }
-    }
+/// Normal of a vertex of the head's grid: across the differences to its neighbours.
+#[inline(always)]
+fn grid_normal(positions_mm: &[Vec3], i: usize) -> Vec3 {
+    let (row, column) = (i / COLUMNS, i % COLUMNS);
+    let [left, right] = [i - usize::from(column > 0), i + usize::from(column + 1 < COLUMNS)];
+    let above = if row > 0 { i - COLUMNS } else { i };
+    let below = if i + COLUMNS < positions_mm.len() { i + COLUMNS } else { i };
+    (positions_mm[right] - positions_mm[left]).cross(positions_mm[above] - positions_mm[below])
+}
 
-    fn set_positions(&mut self, positions_mm: &[Vec3]) {
-        let axes = self.x.iter_mut().zip(&mut self.y).zip(&mut self.z);
-        for (((x, y), z), p) in axes.zip(positions_mm) {
-            (*x, *y, *z) = (p.x, p.y, p.z);
-        }
+/// Pixels, and diffuse and specular light: 1 head-on at 600 mm from the light; the camera is the origin.
+///
+/// Several loops, since the compiler vectorizes none that chooses between two results of this length.
+fn shade(bare: &Bare, camera: &Lens, light_mm: Vec3) -> Shaded {
+    let mut out = Shaded::default();
+    let ([x, y, z], [nx, ny, nz]) = (bare.position_mm, bare.normal);
+    for i in 0..LANES {
+        // What is not in front of the camera is no number, which the raster leaves out.
+        out.inverse_depth[i] = if z[i] < -NEAREST_MM { -1.0 / z[i] } else { f32::NAN };
     }
-
-    fn set_normals(&mut self, normals: &[Vec3]) {
-        let [nx, ny, nz] = &mut self.normal;
-        for (((x, y), z), n) in nx.iter_mut().zip(ny).zip(nz).zip(normals) {
-            (*x, *y, *z) = (n.x, n.y, n.z);
-        }
+    for i in 0..LANES {
+        let at = camera.px(x[i] * out.inverse_depth[i], -y[i] * out.inverse_depth[i]);
+        (out.px[0][i], out.px[1][i]) = (at[0], at[1]);
     }
-
-    /// Normals across the differences to the neighbours in a grid.
-    fn set_grid_normals(&mut self, above: &[Vec3], here: &[Vec3], below: &[Vec3]) {
-        let last = here.len() - 1;
-        for c in 0..here.len() {
-            let across = here[(c + 1).min(last)] - here[c.saturating_sub(1)];
-            let normal = across.cross(above[c] - below[c]);
-            for axis in 0..3 {
-                self.normal[axis][c] = normal[axis];
-            }
-        }
+    let (mut lambert, mut aligned, mut falloff) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    for i in 0..LANES {
+        let (p, normal) = (Vec3::new(x[i], y[i], z[i]), Vec3::new(nx[i], ny[i], nz[i]));
+        let per_length = 1.0 / (normal.length_squared() + f32::MIN_POSITIVE).sqrt();
+        let to_light = light_mm - p;
+        let per_distance2 = 1.0 / to_light.length_squared();
+        let to_light = to_light * per_distance2.sqrt();
+        let half = to_light - p * (1.0 / p.length_squared().sqrt());
+        lambert[i] = normal.dot(to_light) * per_length;
+        aligned[i] = normal.dot(half) * per_length / half.length_squared().sqrt();
+        falloff[i] = 600.0 * 600.0 * per_distance2;
     }
-
-    /// Pixels, and diffuse and specular light: 1 head-on at 600 mm from the light; the camera is the origin.
-    fn shade(&mut self, camera: &Lens, light_mm: Vec3, strengths: &[f32]) {
-        let n = strengths.len();
-        let (x, y, z) = (&self.x[..n], &self.y[..n], &self.z[..n]);
-        let [nx, ny, nz] = &self.normal;
-        let (nx, ny, nz) = (&nx[..n], &ny[..n], &nz[..n]);
-        let [px, py] = &mut self.px;
-        let (px, py, inverse_depth) = (&mut px[..n], &mut py[..n], &mut self.inverse_depth[..n]);
-        let (diffuse, specular) = (&mut self.diffuse[..n], &mut self.specular[..n]);
-        for i in 0..n {
-            let p = Vec3::new(x[i], y[i], z[i]);
-            // What is not in front of the camera is no number, which the raster leaves out.
-            let inverse = if p.z < -NEAREST_MM { -1.0 / p.z } else { f32::NAN };
-            let at = camera.px(p.x * inverse, -p.y * inverse);
-            (px[i], py[i], inverse_depth[i]) = (at[0], at[1], inverse);
-            let normal = Vec3::new(nx[i], ny[i], nz[i]);
-            let per_length = 1.0 / (normal.length_squared() + f32::MIN_POSITIVE).sqrt();
-            let to_light = light_mm - p;
-            let per_distance2 = 1.0 / to_light.length_squared();
-            let to_light = to_light * per_distance2.sqrt();
-            let half = to_light - p * (1.0 / p.length_squared().sqrt());
-            let lambert = normal.dot(to_light) * per_length;
-            let aligned = normal.dot(half) * per_length / half.length_squared().sqrt();
-            let aligned = if aligned > 0.0 { aligned } else { 0.0 };
-            let power4 = (aligned * aligned) * (aligned * aligned);
-            let power16 = (power4 * power4) * (power4 * power4);
-            let falloff = 600.0 * 600.0 * per_distance2;
-            diffuse[i] = if lambert > 0.0 { lambert * falloff } else { 0.0 };
-            specular[i] = if lambert > 0.0 { strengths[i] * power16 * falloff } else { 0.0 };
-        }
+    for i in 0..LANES {
+        let power2 = if (lambert[i] > 0.0) & (aligned[i] > 0.0) { aligned[i] * aligned[i] } else { 0.0 };
+        let power4 = power2 * power2;
+        let power16 = (power4 * power4) * (power4 * power4);
+        out.specular[i] = bare.strength[i] * power16 * falloff[i];
+        out.diffuse[i] = if lambert[i] > 0.0 { lambert[i] * falloff[i] } else { 0.0 };
     }
-
-    fn store(&self, texels: &[[f32; 2]], corners: &mut [Corner]) {
-        let [px, py] = &self.px;
-        let places = px.iter().zip(py).zip(&self.inverse_depth);
-        let lights = self.diffuse.iter().zip(&self.specular).zip(texels);
-        for ((((px, py), inverse_depth), ((diffuse, specular), texel)), corner) in places.zip(lights).zip(corners) {
-            let seen = Vec4::new(texel[0], texel[1], *diffuse, *specular);
-            *corner = Corner { px: [*px, *py], inverse_depth: *inverse_depth, seen };
-        }
-    }
+    out
 }
 
 /// Whether the projector reaches a surface at `px` and `inverse_depth`.

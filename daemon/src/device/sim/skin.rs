@@ -21,6 +21,8 @@ const DARK: f32 = 0.02;
 /// Albedo 0..1 over rest positions, row-major, first row lowest.
 #[derive(Debug, Clone)]
 pub struct Skin {
+    width: usize,
+    height: usize,
     texels: Vec<f32>,
 }
 
@@ -42,13 +44,26 @@ impl Skin {
             let bare = with_features(x, y, skin, grains[0].1[i]).clamp(0.04, 0.95);
             texels.push(painted(regions, [x, y], bare));
         }
-        Self { texels }
+        Self { width: WIDTH, height: HEIGHT, texels }
     }
 
     /// An even grey as bright as skin, with the dark ones of `regions` painted over it.
     pub fn even(regions: &[Region]) -> Self {
         let texel = |i: usize| painted(regions, place_mm(i), SKIN);
-        Self { texels: (0..WIDTH * HEIGHT).map(texel).collect() }
+        Self { width: WIDTH, height: HEIGHT, texels: (0..WIDTH * HEIGHT).map(texel).collect() }
+    }
+
+    /// The albedo that a picture shows, 255 for a white surface; a picture of one row or column is doubled.
+    pub fn of_picture(picture: &GreyPicture) -> Self {
+        let (w, h) = (picture.width_px as usize, picture.height_px as usize);
+        let (width, height) = (w.max(2), h.max(2));
+        let level = |i: usize| picture.pixels[(h - 1 - (i / width).min(h - 1)) * w + (i % width).min(w - 1)];
+        Self { width, height, texels: (0..width * height).map(|i| f32::from(level(i)) / 255.0).collect() }
+    }
+
+    /// Place of a texture coordinate in the map, texels.
+    pub fn texel_of_uv(&self, [u, v]: [f32; 2]) -> [f32; 2] {
+        [u * self.width as f32 - 0.5, v * self.height as f32 - 0.5]
     }
 
     /// Place of a rest position in the map, texels.
@@ -64,8 +79,8 @@ impl Skin {
 
     /// The map as a picture, first row on top, 255 for albedo 1.
     pub fn picture(&self) -> GreyPicture {
-        let rows = self.texels.chunks_exact(WIDTH).rev().flatten();
-        GreyPicture::new(WIDTH as u32, HEIGHT as u32, rows.map(|a| (a * 255.0 + 0.5) as u8).collect())
+        let rows = self.texels.chunks_exact(self.width).rev().flatten();
+        GreyPicture::new(self.width as u32, self.height as u32, rows.map(|a| (a * 255.0 + 0.5) as u8).collect())
     }
 
     /// Albedo at a place in the map, bilinear.
@@ -75,13 +90,14 @@ impl Skin {
             let v = if v > 0.0 { v } else { 0.0 };
             if v < last as f32 { v } else { last as f32 }
         };
-        let (x, y) = (within(texel[0], WIDTH - 2), within(texel[1], HEIGHT - 2));
+        let (x, y) = (within(texel[0], self.width - 2), within(texel[1], self.height - 2));
         let (column, row) = (whole(x), whole(y));
         let (fx, fy) = (x - column as u32 as i32 as f32, y - row as u32 as i32 as f32);
-        let at = row * WIDTH + column;
-        let t = &self.texels[at..at + WIDTH + 2];
+        let at = row * self.width + column;
+        let t = &self.texels[at..at + self.width + 2];
         let low = t[0] + fx * (t[1] - t[0]);
-        let high = t[WIDTH] + fx * (t[WIDTH + 1] - t[WIDTH]);
+        let above = &t[self.width..];
+        let high = above[0] + fx * (above[1] - above[0]);
         low + fy * (high - low)
     }
 }
