@@ -565,7 +565,12 @@ mod tests {
     }
 
     /// Checksums of a head, a plane, spheres and a step: four plain pictures, and one with every effect.
-    const GOLDEN: [(u32, u32); 4] = [(0, 0), (0, 0), (0, 0), (0, 0)];
+    const GOLDEN: [(u32, u32); 4] = [
+        (0xF37E_518A, 0x24F6_0D70),
+        (0x0BDB_E69A, 0xF68D_3527),
+        (0x1E6B_B746, 0x5D65_616A),
+        (0x2016_3139, 0x950E_9460),
+    ];
 
     #[test]
     fn calls_out_of_order_are_errors() {

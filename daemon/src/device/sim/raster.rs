@@ -53,7 +53,7 @@ impl Four {
         let (b_x, b_y, c_x, c_y) = (acy * inverse, -acx * inverse, -aby * inverse, abx * inverse);
         let (dx, dy) = (x0 - ax, y0 - ay);
         // The steps of a triangle without area are no numbers or infinite.
-        let is_finite = (b_x + b_y + c_x + c_y).abs().cmplt(Vec4::MAX);
+        let is_finite = (b_x + b_y + c_x + c_y).abs().cmplt(Vec4::MAX) & area.abs().cmplt(Vec4::MAX);
         let is_within = x0.cmple(x1) & y0.cmple(y1) & x1.cmpge(Vec4::ZERO) & y1.cmpge(Vec4::ZERO);
         Self {
             first: [x0, y0].map(|v| v.to_array()),
@@ -76,15 +76,33 @@ pub fn for_each_pixel(
     [width_px, height_px]: [usize; 2],
     mut visit: impl FnMut(&[u32; 3], usize, f32, f32),
 ) {
-    let (right_px, bottom_px) = ((width_px - 1) as f32, (height_px - 1) as f32);
-    for group in triangles.chunks(4) {
-        let last = group.len() - 1;
-        let corner = |k: usize| {
-            let [p, q, r, s] = [0, 1, 2, 3].map(|i: usize| px(group[i.min(last)][k]));
-            [Vec4::new(p[0], q[0], r[0], s[0]), Vec4::new(p[1], q[1], r[1], s[1])]
-        };
-        let four = Four::new([corner(0), corner(1), corner(2)], right_px, bottom_px);
-        for (k, triangle) in group.iter().enumerate().filter(|(k, _)| four.is_drawn >> k & 1 != 0) {
+    let (fours, rest) = triangles.as_chunks::<4>();
+    for group in fours {
+        draw_four(group, 4, &px, [width_px, height_px], &mut visit);
+    }
+    if let Some(last) = rest.last() {
+        let mut group = [*last; 4];
+        group[..rest.len()].copy_from_slice(rest);
+        draw_four(&group, rest.len(), &px, [width_px, height_px], &mut visit);
+    }
+}
+
+/// Visits the pixels of the first `count` of four triangles.
+#[inline(always)]
+fn draw_four(
+    group: &[[u32; 3]; 4],
+    count: usize,
+    px: &impl Fn(u32) -> [f32; 2],
+    [width_px, height_px]: [usize; 2],
+    visit: &mut impl FnMut(&[u32; 3], usize, f32, f32),
+) {
+    let corner = |k: usize| {
+        let (p, q, r, s) = (px(group[0][k]), px(group[1][k]), px(group[2][k]), px(group[3][k]));
+        [Vec4::new(p[0], q[0], r[0], s[0]), Vec4::new(p[1], q[1], r[1], s[1])]
+    };
+    let four = Four::new([corner(0), corner(1), corner(2)], (width_px - 1) as f32, (height_px - 1) as f32);
+    for (k, triangle) in group.iter().enumerate().take(count) {
+        if four.is_drawn >> k & 1 != 0 {
             four.draw(k, width_px, height_px, |i, b, c| visit(triangle, i, b, c));
         }
     }
@@ -94,28 +112,33 @@ impl Four {
     /// Visits the pixels of triangle `k`, two by two at once: loops over the bounds of so few would only be guessed wrong.
     #[inline(always)]
     fn draw(&self, k: usize, width_px: usize, height_px: usize, mut visit: impl FnMut(usize, f32, f32)) {
-        let [x0, y0] = self.first.map(|axis| nearest(axis[k]));
-        let [x1, y1] = self.last.map(|axis| nearest(axis[k]));
-        let ([b_x, c_x], [b_y, c_y]) = (self.right.map(|w| w[k]), self.down.map(|w| w[k]));
+        let (x0, y0) = (nearest(self.first[0][k]), nearest(self.first[1][k]));
+        let (x1, y1) = (nearest(self.last[0][k]), nearest(self.last[1][k]));
+        let (b_x, b_y) = (self.right[0][k], self.down[0][k]);
+        let (c_x, c_y) = (self.right[1][k], self.down[1][k]);
         let b_block = Vec4::splat(self.at_first[0][k]) + Vec4::new(0.0, b_x, b_y, b_x + b_y);
         let c_block = Vec4::splat(self.at_first[1][k]) + Vec4::new(0.0, c_x, c_y, c_x + c_y);
-        for y in (y0..=y1).step_by(2) {
-            for x in (x0..=x1).step_by(2) {
+        let mut y = y0;
+        while y <= y1 {
+            let mut x = x0;
+            while x <= x1 {
                 let (right, down) = (float(x - x0), float(y - y0));
                 let b = b_block + Vec4::splat(right * b_x + down * b_y);
                 let c = c_block + Vec4::splat(right * c_x + down * c_y);
                 let low = Vec4::splat(-TOLERANCE);
                 let is_inside = b.cmpge(low) & c.cmpge(low) & (b + c).cmple(Vec4::splat(1.0 + TOLERANCE));
                 // Beyond the picture's last column and row there are no pixels.
-                let mut bits = is_inside.bitmask() & (0b0101 | u32::from(x < width_px - 1) * 0b1010);
-                bits &= 0b0011 | u32::from(y < height_px - 1) * 0b1100;
+                let mut bits = is_inside.bitmask() & (0b0101 | (u32::from(x < width_px - 1) * 0b1010));
+                bits &= 0b0011 | (u32::from(y < height_px - 1) * 0b1100);
                 let (b, c) = (b.to_array(), c.to_array());
                 while bits != 0 {
                     let k = bits.trailing_zeros() as usize & 3;
                     visit((y + k / 2) * width_px + x + k % 2, b[k], c[k]);
                     bits &= bits - 1;
                 }
+                x += 2;
             }
+            y += 2;
         }
     }
 }

@@ -379,10 +379,8 @@ fn grid_normal(positions_mm: &[Vec3], i: usize) -> Vec3 {
 fn shade(bare: &Bare, camera: &Lens, light_mm: Vec3) -> Shaded {
     let mut out = Shaded::default();
     let ([x, y, z], [nx, ny, nz]) = (bare.position_mm, bare.normal);
-    for i in 0..LANES {
-        // What is not in front of the camera is no number, which the raster leaves out.
-        out.inverse_depth[i] = if z[i] < -NEAREST_MM { -1.0 / z[i] } else { f32::NAN };
-    }
+    // What is not in front of the camera is no number, which the raster leaves out.
+    out.inverse_depth = z.map(|z| if z < -NEAREST_MM { -1.0 / z } else { f32::NAN });
     for i in 0..LANES {
         let at = camera.px(x[i] * out.inverse_depth[i], -y[i] * out.inverse_depth[i]);
         (out.px[0][i], out.px[1][i]) = (at[0], at[1]);

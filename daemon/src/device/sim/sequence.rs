@@ -118,7 +118,7 @@ impl Sequence {
 
 fn check(name: &str, reach_mm: f32, bytes: usize) -> Result<(), DeviceError> {
     let field = "sim.scene.sequence.folder";
-    if !(reach_mm <= MAX_REACH_MM) {
+    if reach_mm > MAX_REACH_MM || reach_mm.is_nan() {
         let reason =
             format!("{name} reaches {reach_mm:.0} mm from the middle of the first, the room is {MAX_REACH_MM} mm");
         return Err(DeviceError::config(field, reason));
