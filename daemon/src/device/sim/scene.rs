@@ -6,6 +6,7 @@ use super::sequence::{Place, Sequence, SequenceScene};
 use super::skin::Skin;
 use super::{Region, SimConfig};
 use crate::device::DeviceError;
+use crate::files::FileError;
 use crate::files::obj::read_obj;
 use glam::Vec3;
 use gv3_codec::mesh::TriMesh;
@@ -198,9 +199,15 @@ fn joined([mut a, b]: [TriMesh; 2]) -> TriMesh {
     a
 }
 
+/// An error of the file or folder at `path`, which is not named twice.
+pub fn unreadable(path: &Path, error: &FileError) -> DeviceError {
+    let text = error.to_string();
+    let reason = text.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&text);
+    DeviceError::File { path: path.to_path_buf(), reason: reason.into() }
+}
+
 fn obj(path: &Path) -> Result<TriMesh, DeviceError> {
-    let file_error = |reason: String| DeviceError::File { path: path.to_path_buf(), reason };
-    let mut mesh = read_obj(path).map_err(|e| file_error(e.to_string()))?.mesh;
+    let mut mesh = read_obj(path).map_err(|e| unreadable(path, &e))?.mesh;
     let (low, high) = mesh.bounds_mm();
     let middle = 0.5 * (low + high);
     let reach = 0.5 * (high - low).length();

@@ -3,7 +3,7 @@
 //! Scans of one connectivity are interpolated in time; of others the nearest in time stands there. Before the first and after
 //! the last scan the scene stands still.
 
-use super::scene::{CENTRE_MM, MAX_REACH_MM};
+use super::scene::{CENTRE_MM, MAX_REACH_MM, unreadable};
 use super::skin::Skin;
 use crate::device::DeviceError;
 use crate::files::ScanFolder;
@@ -53,15 +53,14 @@ impl Sequence {
     /// # Errors
     /// [`DeviceError::File`] for a folder or file that cannot be read, [`DeviceError::Config`] for a sequence too large.
     pub fn read(config: &SequenceScene) -> Result<Self, DeviceError> {
-        let file_error = |reason: String| DeviceError::File { path: config.folder.clone(), reason };
         if config.period_nanos == 0 {
             return Err(DeviceError::config("sim.scene.sequence.period_nanos", "expected nanoseconds above 0"));
         }
-        let folder = ScanFolder::open(&config.folder).map_err(|e| file_error(e.to_string()))?;
+        let folder = ScanFolder::open(&config.folder).map_err(|e| unreadable(&config.folder, &e))?;
         let (mut scans, mut bytes): (Vec<MovingScan>, usize) = (Vec::with_capacity(folder.len()), 0);
         let mut shift_mm = None;
         for i in 0..folder.len() {
-            let scan = folder.load(i, config.period_nanos).map_err(|e| file_error(e.to_string()))?.scan;
+            let scan = folder.load(i, config.period_nanos).map_err(|e| unreadable(&config.folder, &e))?.scan;
             let mut mesh = scan.mesh;
             let (low, high) = mesh.bounds_mm();
             let shift_mm = *shift_mm.get_or_insert(CENTRE_MM - 0.5 * (low + high));
