@@ -100,8 +100,12 @@ impl RigConfig {
             config.calibration_file = Some(folder.join(file));
         }
         config.processing.start_at(path);
-        if let (SceneConfig::Obj(file), Some(folder)) = (&mut config.sim.scene, path.parent()) {
-            *file = folder.join(&file);
+        if let Some(folder) = path.parent() {
+            match &mut config.sim.scene {
+                SceneConfig::Obj(file) => *file = folder.join(&file),
+                SceneConfig::Sequence(sequence) => sequence.folder = folder.join(&sequence.folder),
+                _ => {}
+            }
         }
         config.validate()?;
         Ok(config)
@@ -184,7 +188,9 @@ fn simulated_calibration() -> Calibration {
         cy_px: 569.5,
         distortion: Distortion { k1: -0.03, k2: 0.0, p1: 1e-4, p2: 1e-4, k3: 0.0 },
     };
-    let rotation = DMat3::from_rotation_y((160.0f64 / 600.0).atan());
+    // A turn by the angle whose tangent is 160 / 600; the square root is the same on every machine, sine and cosine are not.
+    let [sine, cosine] = [160.0, 600.0].map(|side: f64| side / f64::sqrt(160.0 * 160.0 + 600.0 * 600.0));
+    let rotation = DMat3::from_cols(DVec3::new(cosine, 0.0, -sine), DVec3::Y, DVec3::new(sine, 0.0, cosine));
     let centre_mm = DVec3::new(160.0, 0.0, 0.0);
     Calibration { camera, projector, projector_from_camera: Rigid::new(rotation, -(rotation * centre_mm)) }
 }

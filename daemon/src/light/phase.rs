@@ -19,7 +19,8 @@ use std::f32::consts::{FRAC_PI_2, PI};
 /// Largest error of [`atan2_rad`], radians.
 pub const ATAN2_ERROR_RAD: f32 = 4e-6;
 
-/// Four-quadrant arctangent in (-pi, pi], within [`ATAN2_ERROR_RAD`]; 0 for (0, 0). Branch-free, so that loops of it vectorize.
+/// Four-quadrant arctangent in (-pi, pi], within [`ATAN2_ERROR_RAD`] = 4e-6; 0 for (0, 0). Branch-free, so that loops of it
+/// vectorize.
 ///
 /// Odd polynomial of degree 11 on [0, 1], fitted to least maximum error.
 #[inline]

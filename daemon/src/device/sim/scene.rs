@@ -2,9 +2,11 @@
 
 use super::face::{COLUMNS, Face};
 use super::motion::Posture;
+use super::sequence::{Place, Sequence, SequenceScene};
 use super::skin::Skin;
 use super::{Region, SimConfig};
 use crate::device::DeviceError;
+use crate::files::FileError;
 use crate::files::obj::read_obj;
 use glam::Vec3;
 use gv3_codec::mesh::TriMesh;
@@ -13,7 +15,7 @@ use std::f32::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
 /// Middle of the working range, where solids stand, scan frame.
-const CENTRE_MM: Vec3 = Vec3::new(0.0, 0.0, -600.0);
+pub const CENTRE_MM: Vec3 = Vec3::new(0.0, 0.0, -600.0);
 /// Half the width and height of the plane and the step, mm.
 const HALF_SIZE_MM: [f32; 2] = [110.0, 80.0];
 /// Turn of the plane about the vertical axis: its tangent, towards the projector.
@@ -24,7 +26,7 @@ const STEP_MM: f32 = 10.0;
 const SPHERE_RADIUS_MM: f32 = 40.0;
 const SPHERE_X_MM: f32 = 55.0;
 /// Largest distance of an OBJ's vertices from the middle of its bounds, which keeps it before the lenses.
-const MAX_REACH_MM: f32 = 400.0;
+pub const MAX_REACH_MM: f32 = 400.0;
 
 /// Which scene.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -42,6 +44,8 @@ pub enum SceneConfig {
     /// A mesh in a file, millimetres, moved so that the middle of its bounds is at 600 mm. A relative path starts at the rig's
     /// file.
     Obj(PathBuf),
+    /// A folder of scans, one after the other.
+    Sequence(SequenceScene),
 }
 
 /// A scene with what is known of each of its vertices.
@@ -58,7 +62,7 @@ pub enum Scene {
 }
 
 impl Scene {
-    /// Builds or reads a scene.
+    /// Builds or reads a scene; of a sequence, its first scan.
     ///
     /// # Errors
     /// [`DeviceError::File`] for an OBJ that cannot be read, [`DeviceError::Config`] for one too large.
@@ -71,8 +75,17 @@ impl Scene {
                 joined([plate(-HALF_SIZE_MM[0], 0.0, 0.0, 0.0), plate(0.0, HALF_SIZE_MM[0], 0.0, STEP_MM)])
             }
             SceneConfig::Obj(path) => obj(path)?,
+            SceneConfig::Sequence(sequence) => {
+                return Ok(Self::of_sequence(&Sequence::read(sequence)?, Place::default()));
+            }
         };
         Ok(Self::Solid { normals: mesh.vertex_normals(), mesh })
+    }
+
+    /// What of a sequence stands there at a place.
+    pub fn of_sequence(sequence: &Sequence, place: Place) -> Self {
+        let (mesh, normals) = sequence.surface(place);
+        Self::Solid { mesh, normals }
     }
 
     /// Positions in the scan frame at a posture, mm; a solid takes only the shift.
@@ -91,6 +104,14 @@ impl Scene {
         match self {
             Self::Head(face) => &face.rest_mm,
             Self::Solid { mesh, .. } => &mesh.positions_mm,
+        }
+    }
+
+    /// Texture coordinates of the vertices, where they are not laid on by their places at rest.
+    pub fn uv(&self) -> Option<&[[f32; 2]]> {
+        match self {
+            Self::Head(_) => None,
+            Self::Solid { mesh, .. } => mesh.uv.as_deref(),
         }
     }
 
@@ -178,9 +199,15 @@ fn joined([mut a, b]: [TriMesh; 2]) -> TriMesh {
     a
 }
 
+/// An error of the file or folder at `path`, which is not named twice.
+pub fn unreadable(path: &Path, error: &FileError) -> DeviceError {
+    let text = error.to_string();
+    let reason = text.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&text);
+    DeviceError::File { path: path.to_path_buf(), reason: reason.into() }
+}
+
 fn obj(path: &Path) -> Result<TriMesh, DeviceError> {
-    let file_error = |reason: String| DeviceError::File { path: path.to_path_buf(), reason };
-    let mut mesh = read_obj(path).map_err(|e| file_error(e.to_string()))?.mesh;
+    let mut mesh = read_obj(path).map_err(|e| unreadable(path, &e))?.mesh;
     let (low, high) = mesh.bounds_mm();
     let middle = 0.5 * (low + high);
     let reach = 0.5 * (high - low).length();
