@@ -5,8 +5,9 @@
 //! circle, and a harmonic extension by the same factorized Laplacian gives the rest. The intrinsic Delaunay
 //! triangulation makes all weights non-negative (maximum principle, Tutte's theorem on the intrinsic mesh).
 
+use super::harmonic::HarmonicSystem;
 use super::mobius::Mobius;
-use crate::linalg::{LowerCsc, SparseLlt};
+use crate::linalg::SparseLlt;
 use crate::mesh::half_edge::{NONE, next};
 use crate::mesh::intrinsic::IntrinsicMesh;
 use crate::mesh::{HalfEdges, TriMesh};
@@ -17,6 +18,9 @@ use std::f64::consts::TAU;
 /// Border flux is floored at this share of its mean: staircase corners may have none.
 const FLUX_FLOOR: f64 = 1e-3;
 
+/// Times that a map with flipped triangles is solved again with them locked.
+const MAX_UNFLIP_PASSES: usize = 5;
+
 /// A surface laid on the unit disk.
 #[derive(Debug, Clone)]
 pub struct DiskMap {
@@ -24,8 +28,20 @@ pub struct DiskMap {
     pub points: Vec<DVec2>,
     /// The vertex at the centre.
     pub centre: u32,
+    /// Border vertices, counter-clockwise.
+    pub border: Vec<u32>,
     /// Triangles of the embedded mesh that the map turns over.
     pub flips: usize,
+}
+
+/// How a disk is mapped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct DiskOptions {
+    /// Vertex that goes to the centre; the one farthest from the border in edge steps by default.
+    pub centre: Option<u32>,
+    /// Whether no triangle of the embedded mesh may be turned over. The intrinsic triangulation has none anyway; here
+    /// flipped triangles and a growing ring around them are kept as they are in it, their weights held positive.
+    pub unflip: bool,
 }
 
 /// Maps a disk to the unit disk; rotated so that +y of the scan frame points up.
@@ -33,27 +49,106 @@ pub struct DiskMap {
 /// # Errors
 /// [`CodecError::Mesh`] when `mesh` is not a disk, lies in one point, or is too degenerate for its Laplacian to factorize.
 pub fn disk_map(mesh: &TriMesh) -> Result<DiskMap> {
-    let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
-    let border = single_border(mesh, &half_edges)?;
-    let mut intrinsic = IntrinsicMesh::new(mesh, &half_edges.twin);
-    intrinsic.mollify()?;
-    intrinsic.make_delaunay();
-    separate_border(&mut intrinsic, &border, mesh.vertex_count());
-    let system = InteriorLaplacian::new(&intrinsic, &border)?;
-    let centre = deepest_vertex(mesh, &border);
-    let theta = border_angles(&intrinsic, &system, &border, centre);
-    let mut points = system.extend(&border, &theta);
-    points.truncate(mesh.vertex_count());
-    let to_centre = Mobius { rotation: DVec2::X, centre: points[centre as usize] };
-    for z in &mut points {
-        *z = to_centre.apply(*z);
+    DiskMapper::default().map(mesh, &mut |_| ())
+}
+
+/// Maps disks one after another; elimination order and symbolic factor are kept while the Laplacian has the same
+/// pattern.
+#[derive(Default)]
+pub struct DiskMapper {
+    options: DiskOptions,
+    factor: Option<SparseLlt>,
+}
+
+impl DiskMapper {
+    /// Maps with `options`.
+    pub fn new(options: DiskOptions) -> Self {
+        Self { options, factor: None }
     }
-    turn_upright(mesh, &mut points);
-    if !points.iter().all(|z| z.is_finite()) {
-        return Err(CodecError::Mesh("too degenerate to be laid on a disk".into()));
+
+    /// As [`disk_map`]; `on_stage` is called with the name of each stage when it ends: topology, intrinsic, assemble,
+    /// factorize, solve, check (several times when triangles are unflipped).
+    ///
+    /// # Errors
+    /// As [`disk_map`], and when the wanted centre is no inner vertex.
+    pub fn map(&mut self, mesh: &TriMesh, on_stage: &mut dyn FnMut(&'static str)) -> Result<DiskMap> {
+        let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
+        let border = single_border(mesh, &half_edges)?;
+        let centre = match self.options.centre {
+            None => deepest_vertex(&half_edges, &border),
+            Some(v) if (v as usize) < mesh.vertex_count() && !half_edges.is_boundary_vertex(v) => v,
+            Some(v) => return Err(CodecError::Mesh(format!("vertex {} cannot be the centre: not inside", v + 1))),
+        };
+        on_stage("topology");
+        let mut locked = vec![false; mesh.triangles.len()];
+        let mut map = self.map_locked(mesh, &half_edges, &locked, border, centre, on_stage)?;
+        for pass in 0..MAX_UNFLIP_PASSES {
+            if map.flips == 0 || !self.options.unflip {
+                break;
+            }
+            lock_flips(mesh, &map.points, pass, &mut locked);
+            let retry = self.map_locked(mesh, &half_edges, &locked, map.border.clone(), centre, on_stage)?;
+            map = retry;
+        }
+        Ok(map)
     }
-    let flips = mesh.triangles.iter().filter(|t| signed_area(&points, **t) <= 0.0).count();
-    Ok(DiskMap { points, centre, flips })
+
+    fn map_locked(
+        &mut self,
+        mesh: &TriMesh,
+        half_edges: &HalfEdges,
+        locked: &[bool],
+        border: Vec<u32>,
+        centre: u32,
+        on_stage: &mut dyn FnMut(&'static str),
+    ) -> Result<DiskMap> {
+        let mut intrinsic = IntrinsicMesh::new(mesh, &half_edges.twin);
+        intrinsic.mollify()?;
+        (0..locked.len()).filter(|&t| locked[t]).for_each(|t| intrinsic.lock(t as u32));
+        intrinsic.make_delaunay();
+        separate_border(&mut intrinsic, &border, mesh.vertex_count());
+        on_stage("intrinsic");
+        let system = HarmonicSystem::assemble(&intrinsic, &border);
+        on_stage("assemble");
+        system.factorize(&mut self.factor, &mesh.positions_mm)?;
+        on_stage("factorize");
+        let Some(factor) = &self.factor else { unreachable!("factorized above") };
+        let theta = border_angles(&intrinsic, &system.harmonic_measure(factor, centre), &border);
+        let circle: Vec<DVec2> = theta.iter().map(|&t| DVec2::new(libm::cos(t), libm::sin(t))).collect();
+        let mut points = system.extend(factor, &border, &circle);
+        points.truncate(mesh.vertex_count());
+        let to_centre = Mobius { rotation: DVec2::X, centre: points[centre as usize] };
+        for z in &mut points {
+            *z = to_centre.apply(*z);
+        }
+        turn_upright(mesh, &mut points);
+        on_stage("solve");
+        if !points.iter().all(|z| z.is_finite()) {
+            return Err(CodecError::Mesh("too degenerate to be laid on a disk".into()));
+        }
+        let flips = mesh.triangles.iter().filter(|t| signed_area(&points, **t) <= 0.0).count();
+        on_stage("check");
+        Ok(DiskMap { points, centre, border, flips })
+    }
+}
+
+/// Locks the triangles that `points` turns over and those up to `rings` rings around them.
+fn lock_flips(mesh: &TriMesh, points: &[DVec2], rings: usize, locked: &mut [bool]) {
+    let mut near = vec![false; points.len()];
+    let mark = |near: &mut [bool], t: &[u32; 3]| t.iter().for_each(|&v| near[v as usize] = true);
+    for (t, locked) in mesh.triangles.iter().zip(locked.iter_mut()).filter(|(t, _)| signed_area(points, **t) <= 0.0) {
+        *locked = true;
+        mark(&mut near, t);
+    }
+    for _ in 0..rings {
+        let inside = near.clone();
+        for (t, locked) in mesh.triangles.iter().zip(locked.iter_mut()) {
+            if t.iter().any(|&v| inside[v as usize]) {
+                *locked = true;
+                mark(&mut near, t);
+            }
+        }
+    }
 }
 
 /// Twice the signed area of a triangle on the disk.
@@ -87,7 +182,7 @@ fn separate_border(m: &mut IntrinsicMesh, border: &[u32], vertex_count: usize) {
     }
     let joins = |m: &IntrinsicMesh, on_border: &[bool], h: u32| {
         let is = |v: u32| on_border.get(v as usize).copied().unwrap_or(false);
-        m.twin[h as usize] != NONE && is(m.origin[h as usize]) && is(m.target(h))
+        m.twin[h as usize] != NONE && !m.locked[h as usize] && is(m.origin[h as usize]) && is(m.target(h))
     };
     // Flipping after a split may join border vertices again; a few rounds always sufficed, the bound is a guard.
     for _ in 0..16 {
@@ -107,119 +202,27 @@ fn separate_border(m: &mut IntrinsicMesh, border: &[u32], vertex_count: usize) {
 }
 
 /// Vertex farthest from the border in edge steps (the last one a breadth-first walk from the border reaches).
-fn deepest_vertex(mesh: &TriMesh, border: &[u32]) -> u32 {
-    let n = mesh.vertex_count();
-    let mut start = vec![0u32; n + 1];
-    for &v in mesh.triangles.iter().flatten() {
-        start[v as usize + 1] += 1;
-    }
-    for i in 0..n {
-        start[i + 1] += start[i];
-    }
-    let mut fill = start.clone();
-    let mut around = vec![0u32; mesh.triangles.len() * 3];
-    for (t, tri) in mesh.triangles.iter().enumerate() {
-        for &v in tri {
-            around[fill[v as usize] as usize] = t as u32;
-            fill[v as usize] += 1;
-        }
-    }
-    let mut seen = vec![false; n];
+fn deepest_vertex(half_edges: &HalfEdges, border: &[u32]) -> u32 {
+    let mut seen = vec![false; half_edges.vertex_count()];
     let mut queue = border.to_vec();
     for &b in border {
         seen[b as usize] = true;
     }
     let mut head = 0;
     while head < queue.len() {
-        let v = queue[head] as usize;
-        head += 1;
-        for &t in &around[start[v] as usize..start[v + 1] as usize] {
-            for w in mesh.triangles[t as usize] {
-                if !std::mem::replace(&mut seen[w as usize], true) {
-                    queue.push(w);
-                }
+        for w in half_edges.neighbours(queue[head]) {
+            if !std::mem::replace(&mut seen[w as usize], true) {
+                queue.push(w);
             }
         }
+        head += 1;
     }
     queue[queue.len() - 1]
 }
 
-/// The interior block of the cotangent Laplacian, factorized, and its coupling to the border.
-struct InteriorLaplacian {
-    /// Interior row of a vertex, `u32::MAX` on the border.
-    row: Vec<u32>,
-    /// (interior row, border vertex, weight)
-    coupling: Vec<(u32, u32, f64)>,
-    factor: SparseLlt,
-    rows: usize,
-}
-
-impl InteriorLaplacian {
-    fn new(m: &IntrinsicMesh, border: &[u32]) -> Result<Self> {
-        let mut row = vec![0u32; m.vertex_count];
-        for &b in border {
-            row[b as usize] = u32::MAX;
-        }
-        let mut rows = 0;
-        for r in row.iter_mut().filter(|r| **r == 0) {
-            *r = rows;
-            rows += 1;
-        }
-        let mut diagonal = vec![0.0; rows as usize];
-        let (mut entries, mut coupling) = (Vec::with_capacity(m.twin.len() / 2), Vec::new());
-        for h in 0..m.twin.len() as u32 {
-            let other = m.twin[h as usize];
-            let (i, j) = (m.origin[h as usize], m.target(h));
-            if other == NONE || h > other || i == j {
-                continue;
-            }
-            let w = m.edge_weight(h).max(0.0);
-            let (ri, rj) = (row[i as usize], row[j as usize]);
-            for r in [ri, rj] {
-                if r != u32::MAX {
-                    diagonal[r as usize] += w;
-                }
-            }
-            match (ri, rj) {
-                (u32::MAX, u32::MAX) => {}
-                (u32::MAX, r) => coupling.push((r, i, w)),
-                (r, u32::MAX) => coupling.push((r, j, w)),
-                (a, b) => entries.push((a, b, -w)),
-            }
-        }
-        let factor = SparseLlt::factorize(&LowerCsc::assemble(&diagonal, &entries))?;
-        Ok(Self { row, coupling, factor, rows: rows as usize })
-    }
-
-    /// Harmonic functions with the given border values e^{i theta}; points of all vertices.
-    fn extend(&self, border: &[u32], theta: &[f64]) -> Vec<DVec2> {
-        let mut points = vec![DVec2::ZERO; self.row.len()];
-        for (&b, &t) in border.iter().zip(theta) {
-            points[b as usize] = DVec2::new(libm::cos(t), libm::sin(t));
-        }
-        let mut rhs = vec![0.0; 2 * self.rows];
-        for &(r, b, w) in &self.coupling {
-            rhs[r as usize] += w * points[b as usize].x;
-            rhs[self.rows + r as usize] += w * points[b as usize].y;
-        }
-        self.factor.solve(&mut rhs, 2);
-        for (z, &r) in points.iter_mut().zip(&self.row).filter(|(_, r)| **r != u32::MAX) {
-            *z = DVec2::new(rhs[r as usize], rhs[self.rows + r as usize]);
-        }
-        points
-    }
-}
-
 /// Angle of each border vertex: d theta over an edge is its length times the mean flux density at its ends.
-fn border_angles(m: &IntrinsicMesh, system: &InteriorLaplacian, border: &[u32], centre: u32) -> Vec<f64> {
-    let mut green = vec![0.0; system.rows];
-    green[system.row[centre as usize] as usize] = 1.0;
-    system.factor.solve(&mut green, 1);
+fn border_angles(m: &IntrinsicMesh, flux_of: &[f64], border: &[u32]) -> Vec<f64> {
     let n = border.len();
-    let mut flux_of = vec![0.0; m.vertex_count];
-    for &(r, b, w) in &system.coupling {
-        flux_of[b as usize] += w * green[r as usize];
-    }
     let mean = border.iter().map(|&b| flux_of[b as usize]).sum::<f64>() / n as f64;
     let flux: Vec<f64> = border.iter().map(|&b| flux_of[b as usize].max(FLUX_FLOOR * mean)).collect();
     let length = border_lengths(m, border);

@@ -6,6 +6,7 @@ mod capture;
 mod decode;
 mod demo;
 mod encode;
+mod flatten;
 mod info;
 mod measure;
 mod patterns;
@@ -48,6 +49,7 @@ enum Command {
     Recover(recover::Recover),
     Measure(measure::Measure),
     Patterns(patterns::Patterns),
+    Flatten(flatten::Flatten),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -89,6 +91,7 @@ pub fn main() -> ExitCode {
         Command::Recover(c) => c.run(),
         Command::Measure(c) => c.run(),
         Command::Patterns(c) => c.run(),
+        Command::Flatten(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

@@ -1,0 +1,241 @@
+//! `gv3 flatten`: a surface laid on the unit disk with its angles kept.
+
+use super::Outcome;
+use crate::files::obj::{obj_bytes, read_obj};
+use crate::files::ply::read_ply;
+use crate::files::write_whole;
+use crate::view::checkerboard::{checkerboard, disk_uv};
+use crate::view::compare::png_bytes;
+use crate::view::render::ViewSide;
+use anyhow::{Context, Result, anyhow, bail};
+use clap::{Args, ValueEnum};
+use glam::DVec2;
+use gv3_codec::mesh::repair::{RepairOptions, to_disk};
+use gv3_codec::mesh::{HalfEdges, TriMesh};
+use gv3_codec::param::disk::{DiskMapper, DiskOptions};
+use gv3_codec::param::{AngleErrors, HISTOGRAM_BOUNDS_DEG};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Map a surface conformally to the unit disk; report angle errors, turned triangles and times.
+///
+/// The surface is repaired to a topological disk first: one piece, one border, holes filled.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  gv3 flatten face.obj --checkerboard face.png -o face_flat.obj")]
+pub struct Flatten {
+    /// Mesh to map, OBJ or PLY.
+    mesh: PathBuf,
+    /// How to map.
+    #[arg(long, value_enum, default_value_t = Method::Green)]
+    method: Method,
+    /// Turn no triangle of the mesh over, at a little cost in angles (method green).
+    #[arg(long)]
+    unflip: bool,
+    /// Vertex at the centre of the disk, counted from 1 (method green; the innermost by default).
+    #[arg(long, value_name = "VERTEX", value_parser = clap::value_parser!(u32).range(1..))]
+    centre: Option<u32>,
+    /// Refuse a mesh that is no disk instead of repairing it.
+    #[arg(long)]
+    no_repair: bool,
+    /// Cut open a closed surface where it faces away from +z, instead of refusing it.
+    #[arg(long, conflicts_with = "no_repair")]
+    open_closed: bool,
+    /// Picture to draw: a checkerboard on the disk, carried back to the surface (PNG).
+    #[arg(long, value_name = "PNG")]
+    checkerboard: Option<PathBuf>,
+    /// Turn of that picture to the surface's left, degrees.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "checkerboard")]
+    yaw: f32,
+    /// Mesh to write: the surface as mapped, the disk as its texture coordinates (OBJ).
+    #[arg(short, long, value_name = "OBJ")]
+    out: Option<PathBuf>,
+    /// Report as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Method {
+    /// Green's function on the border, one harmonic extension: the fast one.
+    Green,
+}
+
+impl Method {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Green => "green",
+        }
+    }
+}
+
+/// A map and what is known of it.
+struct Flattened {
+    points: Vec<DVec2>,
+    border: Vec<u32>,
+    flips: usize,
+}
+
+#[derive(Debug, Serialize)]
+struct FlattenReport {
+    vertices: usize,
+    method: &'static str,
+    /// Stages of the mapping and their total; `repair` stands beside it.
+    ms: BTreeMap<&'static str, f64>,
+    angle_error_deg: AngleFigures,
+    flips: usize,
+    /// Largest distance of a border vertex from the unit circle.
+    boundary_deviation: f64,
+    #[serde(skip)]
+    histogram: [usize; HISTOGRAM_BOUNDS_DEG.len()],
+    #[serde(skip)]
+    notes: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct AngleFigures {
+    mean: f64,
+    sd: f64,
+    p99: f64,
+    max: f64,
+}
+
+/// Adds up the time between calls by stage.
+struct StageClock {
+    at: Instant,
+    ms: BTreeMap<&'static str, f64>,
+}
+
+impl StageClock {
+    fn start() -> Self {
+        Self { at: Instant::now(), ms: BTreeMap::new() }
+    }
+
+    fn end(&mut self, stage: &'static str) {
+        let now = Instant::now();
+        *self.ms.entry(stage).or_default() += (now - self.at).as_secs_f64() * 1e3;
+        self.at = now;
+    }
+}
+
+impl Flatten {
+    pub(super) fn run(self) -> Result<Outcome> {
+        let read = read_mesh(&self.mesh)?;
+        let mut notes = Vec::new();
+        let started = Instant::now();
+        let disk = self.disk(read, &mut notes)?;
+        let repair_ms = started.elapsed().as_secs_f64() * 1e3;
+        let mut clock = StageClock::start();
+        let map = self.map(&disk, &mut clock).with_context(|| format!("{}: cannot be mapped", self.mesh.display()))?;
+        let total_ms = clock.ms.values().sum();
+        clock.ms.insert("total", total_ms);
+        if !self.no_repair {
+            clock.ms.insert("repair", repair_ms);
+        }
+        let at = |v: u32| disk.positions_mm[v as usize].as_dvec3();
+        let errors = AngleErrors::between(&disk.triangles, at, |v| map.points[v as usize].extend(0.0));
+        let deviation = |&v: &u32| (map.points[v as usize].length() - 1.0).abs();
+        let report = FlattenReport {
+            vertices: disk.vertex_count(),
+            method: self.method.name(),
+            ms: clock.ms,
+            angle_error_deg: AngleFigures {
+                mean: errors.mean_deg,
+                sd: errors.sd_deg,
+                p99: errors.p99_deg,
+                max: errors.max_deg,
+            },
+            flips: map.flips,
+            boundary_deviation: map.border.iter().map(deviation).fold(0.0, f64::max),
+            histogram: errors.histogram,
+            notes,
+        };
+        self.write(&disk, &map.points)?;
+        Outcome::of(self.json, &report, || describe(&report))
+    }
+
+    /// The mesh as a topological disk.
+    fn disk(&self, mesh: TriMesh, notes: &mut Vec<String>) -> Result<TriMesh> {
+        let name = self.mesh.display();
+        if self.no_repair {
+            let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)
+                .with_context(|| format!("{name}: not without repair"))?;
+            if !half_edges.is_disk() {
+                let loops = half_edges.boundary_loops().len();
+                let pieces = half_edges.triangle_components().1;
+                bail!(
+                    "{name}: {pieces} pieces with {loops} borders are no disk; leave out --no-repair to have it made one"
+                );
+            }
+            return Ok(mesh);
+        }
+        let options = RepairOptions { open_closed: self.open_closed, ..Default::default() };
+        let (disk, report) = to_disk(&mesh, &options).with_context(|| format!("{name}: cannot be repaired"))?;
+        notes.push(format!("repair: {report}"));
+        Ok(disk)
+    }
+
+    fn map(&self, mesh: &TriMesh, clock: &mut StageClock) -> Result<Flattened> {
+        match self.method {
+            Method::Green => {
+                let options = DiskOptions { centre: self.centre.map(|v| v - 1), unflip: self.unflip };
+                let map = DiskMapper::new(options).map(mesh, &mut |stage| clock.end(stage))?;
+                Ok(Flattened { points: map.points, border: map.border, flips: map.flips })
+            }
+        }
+    }
+
+    fn write(&self, disk: &TriMesh, points: &[DVec2]) -> Result<()> {
+        if let Some(path) = &self.checkerboard {
+            let side = ViewSide { yaw_rad: self.yaw.to_radians(), ..Default::default() };
+            write_whole(path, &png_bytes(&checkerboard(disk, points, side)))?;
+        }
+        if let Some(path) = &self.out {
+            let flat = TriMesh { uv: Some(disk_uv(points)), ..disk.clone() };
+            write_whole(path, &obj_bytes(&flat, None))?;
+        }
+        Ok(())
+    }
+}
+
+/// Reads an OBJ or PLY mesh, by the ending of its name.
+fn read_mesh(path: &Path) -> Result<TriMesh> {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    match ending.as_deref() {
+        Some("obj") => Ok(read_obj(path)?.mesh),
+        Some("ply") => Ok(read_ply(path)?.mesh),
+        _ => Err(anyhow!("{}: neither .obj nor .ply; these are the meshes read", path.display())),
+    }
+}
+
+/// The report in words.
+fn describe(r: &FlattenReport) -> String {
+    let mut text = String::new();
+    let angle = &r.angle_error_deg;
+    // Writing to a String cannot fail.
+    let _ = writeln!(text, "{} vertices on the disk, method {}", r.vertices, r.method);
+    let _ = writeln!(
+        text,
+        "  angle error  mean {:.3}, sd {:.3}, p99 {:.2}, max {:.1} degrees",
+        angle.mean, angle.sd, angle.p99, angle.max
+    );
+    let corners = r.histogram.iter().sum::<usize>().max(1) as f64;
+    for (bound, count) in HISTOGRAM_BOUNDS_DEG.iter().zip(r.histogram) {
+        let share = 100.0 * count as f64 / corners;
+        let _ = writeln!(text, "    up to {bound:>5} {share:>7.3} % {}", "#".repeat((share * 0.4).round() as usize));
+    }
+    let _ = writeln!(text, "  turned over  {} triangles", r.flips);
+    let _ = writeln!(text, "  border       {:.1e} off the unit circle at most", r.boundary_deviation);
+    let stages = r.ms.iter().filter(|(stage, _)| !["total", "repair"].contains(*stage));
+    let stages: Vec<String> = stages.map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();
+    let _ = writeln!(text, "  time         {:.1} ms: {}", r.ms["total"], stages.join(", "));
+    if let Some(ms) = r.ms.get("repair") {
+        let _ = writeln!(text, "  repair       {ms:.1} ms");
+    }
+    for note in &r.notes {
+        let _ = writeln!(text, "  {note}");
+    }
+    text
+}
