@@ -87,6 +87,20 @@ impl LowerCsc {
         y
     }
 
+    /// `scale` A + diag(`diagonal`), its entries in the same places.
+    ///
+    /// # Panics
+    /// When `diagonal` has not one value a row.
+    pub fn shifted(&self, scale: f64, diagonal: &[f64]) -> Self {
+        assert_eq!(diagonal.len(), self.size(), "one value a row");
+        let mut shifted = self.clone();
+        shifted.values.iter_mut().for_each(|v| *v *= scale);
+        for (&first, d) in self.column_start.iter().zip(diagonal) {
+            shifted.values[first as usize] += d;
+        }
+        shifted
+    }
+
     /// Rows (and columns) of the matrix.
     pub fn size(&self) -> usize {
         self.column_start.len() - 1
@@ -147,21 +161,24 @@ impl SparseLlt {
         Ok(factor)
     }
 
-    /// Whether `matrix` has its entries where the factorized one had them, so that it may be refactorized.
-    pub fn fits(&self, matrix: &LowerCsc) -> bool {
-        self.pattern.0 == matrix.column_start && self.pattern.1 == matrix.rows
-    }
-
-    /// Factorizes another matrix of the same pattern; order and symbolic factor are kept.
+    /// Factorizes into `slot`: order and symbolic factor of the matrix before are kept when it had the same pattern,
+    /// otherwise it is ordered by the places of its rows.
     ///
     /// # Errors
-    /// As [`Self::factorize`]; the factor must then not be used to solve.
-    ///
-    /// # Panics
-    /// When the pattern differs ([`Self::fits`]).
-    pub fn refactorize(&mut self, matrix: &LowerCsc) -> Result<()> {
-        assert!(self.fits(matrix), "the matrix has another pattern");
-        self.factorize_numeric(matrix)
+    /// As [`Self::factorize`].
+    pub fn factorize_again<'a>(
+        slot: &'a mut Option<Self>,
+        matrix: &LowerCsc,
+        places_mm: impl FnOnce() -> Vec<Vec3>,
+    ) -> Result<&'a Self> {
+        let factor = match slot.take() {
+            Some(mut factor) if factor.pattern.0 == matrix.column_start && factor.pattern.1 == matrix.rows => {
+                factor.factorize_numeric(matrix)?;
+                factor
+            }
+            _ => Self::factorize_placed(matrix, &places_mm())?,
+        };
+        Ok(slot.insert(factor))
     }
 
     fn factorize_numeric(&mut self, matrix: &LowerCsc) -> Result<()> {
@@ -240,18 +257,19 @@ mod tests {
     }
 
     #[test]
-    fn a_second_matrix_of_the_same_pattern_is_solved() {
+    fn matrices_of_the_same_and_of_another_pattern_are_solved_one_after_another() {
         let chain = |weight: f64| LowerCsc::assemble(&[2.0; 5], &[0u32, 1, 2, 3].map(|i| (i, i + 1, weight)));
-        let mut llt = SparseLlt::factorize(&chain(-0.5)).unwrap();
-        assert!(!llt.fits(&LowerCsc::assemble(&[1.0, 2.0, 4.0], &[])));
-        for matrix in [chain(0.25), chain(-0.9)] {
-            llt.refactorize(&matrix).unwrap();
+        let mut slot = None;
+        for matrix in [chain(-0.5), chain(0.25), LowerCsc::assemble(&[1.0, 2.0, 4.0], &[]), chain(-0.9)] {
+            let places = || (0..matrix.size()).map(|i| Vec3::X * i as f32).collect();
+            let llt = SparseLlt::factorize_again(&mut slot, &matrix, places).unwrap();
             let x: Vec<f64> = (0..matrix.size()).map(|i| 1.0 + i as f64).collect();
             let mut rhs = matrix.multiply(&x);
             llt.solve(&mut rhs, 1);
             assert!(rhs.iter().zip(&x).all(|(a, b)| (a - b).abs() < 1e-10));
         }
-        assert!(llt.refactorize(&chain(9.0)).is_err());
+        assert!(SparseLlt::factorize_again(&mut slot, &chain(9.0), Vec::new).is_err());
+        assert!(slot.is_none(), "a factor that failed is of no use");
     }
 
     #[test]

@@ -283,6 +283,26 @@ mod tests {
     }
 
     #[test]
+    fn locked_triangles_stay_while_others_flip() {
+        let mesh = grid(9, 4);
+        let he = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
+        let mut m = IntrinsicMesh::new(&mesh, &he.twin);
+        let kept: Vec<u32> = (0..mesh.triangles.len() as u32).step_by(5).collect();
+        kept.iter().for_each(|&t| m.lock(t));
+        assert!(m.make_delaunay() > 0);
+        check(&m);
+        let sorted = |t: &[u32]| {
+            let mut t = [t[0], t[1], t[2]];
+            t.sort_unstable();
+            t
+        };
+        let present: std::collections::BTreeSet<_> = m.origin.chunks_exact(3).map(sorted).collect();
+        assert!(kept.iter().all(|&t| present.contains(&sorted(&mesh.triangles[t as usize]))));
+        let locked = (0..m.twin.len()).filter(|&h| m.twin[h] != NONE && m.locked[h] != m.locked[m.twin[h] as usize]);
+        assert_eq!(locked.count(), 0, "both sides of an edge agree");
+    }
+
+    #[test]
     fn splitting_keeps_area_and_topology() {
         let mesh = grid(4, 3);
         let he = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();

@@ -15,7 +15,7 @@ pub(crate) mod test_surfaces;
 mod tri_mesh;
 mod vertex_area;
 
-pub use bvh::{Bvh, Nearest};
+pub use bvh::{Bvh, Nearest, RayHit};
 pub use curvature::{angle_defects, gaussian_curvature, mean_curvature};
 pub use half_edge::HalfEdges;
 pub use laplacian::{cotangent_laplacian, intrinsic_laplacian};

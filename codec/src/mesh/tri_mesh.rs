@@ -101,6 +101,12 @@ impl TriMesh {
     }
 }
 
+/// Shape of a triangle: 4 sqrt(3) area / sum of squared edges; 1 equilateral, 0 degenerate.
+pub(crate) fn quality([a, b, c]: [Vec3; 3]) -> f32 {
+    let squares = (b - a).length_squared() + (c - b).length_squared() + (a - c).length_squared();
+    2.0 * 3f32.sqrt() * (b - a).cross(c - a).length() / squares.max(f32::MIN_POSITIVE)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -67,7 +67,7 @@ impl DiskMapper {
     }
 
     /// As [`disk_map`]; `on_stage` is called with the name of each stage when it ends: topology, intrinsic, assemble,
-    /// factorize, solve, check (several times when triangles are unflipped).
+    /// factorize, solve, and unflip where wanted.
     ///
     /// # Errors
     /// As [`disk_map`], and when the wanted centre is no inner vertex.
@@ -77,59 +77,87 @@ impl DiskMapper {
         let centre = match self.options.centre {
             None => deepest_vertex(&half_edges, &border),
             Some(v) if (v as usize) < mesh.vertex_count() && !half_edges.is_boundary_vertex(v) => v,
-            Some(v) => return Err(CodecError::Mesh(format!("vertex {} cannot be the centre: not inside", v + 1))),
+            Some(v) => {
+                let v = u64::from(v) + 1;
+                return Err(CodecError::Mesh(format!("vertex {v} cannot be the centre: it is not inside")));
+            }
         };
         on_stage("topology");
-        let mut locked = vec![false; mesh.triangles.len()];
-        let mut map = self.map_locked(mesh, &half_edges, &locked, border, centre, on_stage)?;
-        for pass in 0..MAX_UNFLIP_PASSES {
-            if map.flips == 0 || !self.options.unflip {
-                break;
-            }
-            lock_flips(mesh, &map.points, pass, &mut locked);
-            let retry = self.map_locked(mesh, &half_edges, &locked, map.border.clone(), centre, on_stage)?;
-            map = retry;
-        }
-        Ok(map)
-    }
-
-    fn map_locked(
-        &mut self,
-        mesh: &TriMesh,
-        half_edges: &HalfEdges,
-        locked: &[bool],
-        border: Vec<u32>,
-        centre: u32,
-        on_stage: &mut dyn FnMut(&'static str),
-    ) -> Result<DiskMap> {
-        let mut intrinsic = IntrinsicMesh::new(mesh, &half_edges.twin);
-        intrinsic.mollify()?;
-        (0..locked.len()).filter(|&t| locked[t]).for_each(|t| intrinsic.lock(t as u32));
-        intrinsic.make_delaunay();
-        separate_border(&mut intrinsic, &border, mesh.vertex_count());
+        let locked = vec![false; mesh.triangles.len()];
+        let intrinsic = intrinsic_disk(mesh, &half_edges, &border, &locked)?;
         on_stage("intrinsic");
         let system = HarmonicSystem::assemble(&intrinsic, &border);
         on_stage("assemble");
-        system.factorize(&mut self.factor, &mesh.positions_mm)?;
+        let factor = system.factorize(&mut self.factor, &mesh.positions_mm)?;
         on_stage("factorize");
-        let Some(factor) = &self.factor else { unreachable!("factorized above") };
         let theta = border_angles(&intrinsic, &system.harmonic_measure(factor, centre), &border);
-        let circle: Vec<DVec2> = theta.iter().map(|&t| DVec2::new(libm::cos(t), libm::sin(t))).collect();
-        let mut points = system.extend(factor, &border, &circle);
+        let mut points = system.extend(factor, &border, &on_circle(&theta));
         points.truncate(mesh.vertex_count());
-        let to_centre = Mobius { rotation: DVec2::X, centre: points[centre as usize] };
-        for z in &mut points {
-            *z = to_centre.apply(*z);
-        }
+        let to_centre = Mobius::centring(points[centre as usize]);
+        points.iter_mut().for_each(|z| *z = to_centre.apply(*z));
         turn_upright(mesh, &mut points);
         on_stage("solve");
         if !points.iter().all(|z| z.is_finite()) {
             return Err(CodecError::Mesh("too degenerate to be laid on a disk".into()));
         }
+        if self.options.unflip {
+            unflip(mesh, &half_edges, &border, locked, &mut points)?;
+            on_stage("unflip");
+        }
         let flips = mesh.triangles.iter().filter(|t| signed_area(&points, **t) <= 0.0).count();
-        on_stage("check");
         Ok(DiskMap { points, centre, border, flips })
     }
+}
+
+/// Intrinsic Delaunay triangulation of a disk, the edges of `locked` triangles kept, no edge across from border to border.
+fn intrinsic_disk(mesh: &TriMesh, half_edges: &HalfEdges, border: &[u32], locked: &[bool]) -> Result<IntrinsicMesh> {
+    let mut intrinsic = IntrinsicMesh::new(mesh, &half_edges.twin);
+    intrinsic.mollify()?;
+    (0..locked.len()).filter(|&t| locked[t]).for_each(|t| intrinsic.lock(t as u32));
+    intrinsic.make_delaunay();
+    separate_border(&mut intrinsic, border, mesh.vertex_count());
+    Ok(intrinsic)
+}
+
+/// Solves again with flipped triangles and a growing ring around them locked, the border where it is, until no triangle
+/// is flipped or passes run out.
+fn unflip(
+    mesh: &TriMesh,
+    half_edges: &HalfEdges,
+    border: &[u32],
+    mut locked: Vec<bool>,
+    points: &mut Vec<DVec2>,
+) -> Result<()> {
+    let circle: Vec<DVec2> = border.iter().map(|&b| points[b as usize]).collect();
+    for rings in 0..MAX_UNFLIP_PASSES {
+        if !mesh.triangles.iter().any(|t| signed_area(points, *t) <= 0.0) {
+            break;
+        }
+        lock_flips(mesh, points, rings, &mut locked);
+        let system = HarmonicSystem::assemble(&intrinsic_disk(mesh, half_edges, border, &locked)?, border);
+        let mut factor = None;
+        *points = system.extend(system.factorize(&mut factor, &mesh.positions_mm)?, border, &circle);
+        points.truncate(mesh.vertex_count());
+    }
+    Ok(())
+}
+
+fn on_circle(theta: &[f64]) -> Vec<DVec2> {
+    theta.iter().map(|&t| DVec2::new(libm::cos(t), libm::sin(t))).collect()
+}
+
+/// Harmonic map to the unit disk whose border keeps its proportions, where the flow of a double cover starts; and the
+/// border.
+pub(super) fn border_on_circle(mesh: &TriMesh) -> Result<(Vec<DVec2>, Vec<u32>)> {
+    let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
+    let border = single_border(mesh, &half_edges)?;
+    let intrinsic = intrinsic_disk(mesh, &half_edges, &border, &vec![false; mesh.triangles.len()])?;
+    let system = HarmonicSystem::assemble(&intrinsic, &border);
+    let circle = on_circle(&angles_of(&border_lengths(&intrinsic, &border)));
+    let mut factor = None;
+    let mut points = system.extend(system.factorize(&mut factor, &mesh.positions_mm)?, &border, &circle);
+    points.truncate(mesh.vertex_count());
+    Ok((points, border))
 }
 
 /// Locks the triangles that `points` turns over and those up to `rings` rings around them.
@@ -228,6 +256,11 @@ fn border_angles(m: &IntrinsicMesh, flux_of: &[f64], border: &[u32]) -> Vec<f64>
     let length = border_lengths(m, border);
     let density: Vec<f64> = (0..n).map(|b| flux[b] / (0.5 * (length[(b + n - 1) % n] + length[b]))).collect();
     let arc: Vec<f64> = (0..n).map(|b| length[b] * (density[b] + density[(b + 1) % n])).collect();
+    angles_of(&arc)
+}
+
+/// Angles of points on the circle from their distances to the next, in any unit.
+fn angles_of(arc: &[f64]) -> Vec<f64> {
     let scale = TAU / arc.iter().sum::<f64>();
     arc.iter()
         .scan(0.0, |sum, a| {
@@ -267,8 +300,10 @@ fn turn_upright(mesh: &TriMesh, points: &mut [DVec2]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::test_surfaces::polar_disk;
+    use crate::mesh::test_surfaces::{jittered_plate, noise, polar_disk};
+    use crate::param::AngleErrors;
     use glam::Vec3;
+    use proptest::prelude::*;
 
     /// z + 0.3 z^2 rolled on a cylinder is conformal, so the disk map must return z up to a Möbius transformation.
     fn riemann_error(rings: u32) -> f64 {
@@ -347,6 +382,79 @@ mod tests {
             }
         }
         assert!(mapped >= 4, "{mapped} of 7 mapped");
+    }
+
+    /// Height field with a thin spike: its base flips on the disk.
+    fn spiky() -> TriMesh {
+        let mut mesh = jittered_plate(24, 11);
+        let mut noise = noise(5);
+        mesh.positions_mm.iter_mut().for_each(|p| p.z = 2.5 * noise());
+        mesh.positions_mm[300].z = 40.0;
+        mesh
+    }
+
+    #[test]
+    fn unflipping_leaves_no_flip_and_other_angles_alone() {
+        let mesh = spiky();
+        let plain = disk_map(&mesh).unwrap();
+        assert!(plain.flips > 0, "the surface is rough enough to flip");
+        let options = DiskOptions { unflip: true, ..Default::default() };
+        let map = DiskMapper::new(options).map(&mesh, &mut |_| ()).unwrap();
+        assert_eq!(map.flips, 0);
+        assert!(map.border.iter().all(|&b| map.points[b as usize].distance(plain.points[b as usize]) < 1e-12));
+        let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
+        let error = |points: &[DVec2]| AngleErrors::between(&mesh.triangles, at, |v| points[v as usize].extend(0.0));
+        let (before, after) = (error(&plain.points), error(&map.points));
+        assert!(after.mean_deg < 2.0 * before.mean_deg + 1.0, "{before:?} {after:?}");
+    }
+
+    #[test]
+    fn the_centre_is_where_it_is_wanted_and_the_maps_differ_by_a_moebius_transformation() {
+        let (z, triangles) = polar_disk(12);
+        let place = |z: &DVec2| Vec3::new(z.x as f32, z.y as f32, 0.4 * z.length_squared() as f32) * 90.0;
+        let mesh = TriMesh { positions_mm: z.iter().map(place).collect(), triangles, uv: None };
+        let centred = |centre| DiskMapper::new(DiskOptions { centre, unflip: false }).map(&mesh, &mut |_| ());
+        let (middle, aside) = (centred(None).unwrap(), centred(Some(60)).unwrap());
+        assert_eq!((middle.centre, aside.centre), (0, 60));
+        assert!(aside.points[60].length() < 1e-12);
+        let m = Mobius::fit(&middle.points, &aside.points);
+        let apart = middle.points.iter().zip(&aside.points).map(|(&p, &q)| m.apply(p).distance(q)).fold(0.0, f64::max);
+        assert!(apart < 0.02, "{apart}");
+        assert!(centred(Some(z.len() as u32 - 1)).unwrap_err().to_string().contains("cannot be the centre"));
+        assert!(centred(Some(u32::MAX)).is_err());
+    }
+
+    #[test]
+    fn a_mapper_gives_what_single_maps_give() {
+        let (z, triangles) = polar_disk(10);
+        let mut mapper = DiskMapper::default();
+        for k in 0..3 {
+            let place =
+                |z: &DVec2| Vec3::new(80.0 * z.x as f32, (80 + 20 * k) as f32 * z.y as f32, 30.0 * (z.x * z.y) as f32);
+            let mesh = TriMesh { positions_mm: z.iter().map(place).collect(), triangles: triangles.clone(), uv: None };
+            let (again, single) = (mapper.map(&mesh, &mut |_| ()).unwrap(), disk_map(&mesh).unwrap());
+            assert!(again.points.iter().zip(&single.points).all(|(a, b)| a.distance(*b) < 1e-12));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn random_disks_keep_order_on_the_circle_and_the_maximum_principle(seed in 0u64..500, rough in 0.0..1.5f32) {
+            let mut mesh = jittered_plate(9, seed);
+            let mut noise = noise(seed ^ 77);
+            mesh.positions_mm.iter_mut().for_each(|p| p.z = rough * noise());
+            let map = disk_map(&mesh).unwrap();
+            let angles = map.border.iter().zip(map.border.iter().cycle().skip(1))
+                .map(|(&a, &b)| map.points[a as usize].angle_to(map.points[b as usize]));
+            let angles: Vec<f64> = angles.collect();
+            prop_assert!(angles.iter().all(|a| *a > 0.0), "the border runs round once, forward");
+            prop_assert!((angles.iter().sum::<f64>() - TAU).abs() < 1e-9);
+            for (v, z) in map.points.iter().enumerate() {
+                let on_border = map.border.contains(&(v as u32));
+                let holds = if on_border { (z.length() - 1.0).abs() < 1e-12 } else { z.length() < 1.0 };
+                prop_assert!(holds, "vertex {} at {}", v, z);
+            }
+        }
     }
 
     #[test]

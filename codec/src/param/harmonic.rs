@@ -57,14 +57,14 @@ impl HarmonicSystem {
         Self { row, coupling, matrix: LowerCsc::assemble(&diagonal, &entries) }
     }
 
-    /// Factorizes into `factor`, whose order is kept when its matrix had the same pattern. `positions_mm` are those of
-    /// the mesh, as far as its vertices go.
-    pub(crate) fn factorize(&self, factor: &mut Option<SparseLlt>, positions_mm: &[Vec3]) -> Result<()> {
-        if let Some(factor) = factor.as_mut().filter(|f| f.fits(&self.matrix)) {
-            return factor.refactorize(&self.matrix);
-        }
-        *factor = Some(SparseLlt::factorize_placed(&self.matrix, &self.places_mm(positions_mm))?);
-        Ok(())
+    /// Factorizes into `slot`, whose order is kept when its matrix had the same pattern. `positions_mm` are those of the
+    /// mesh, as far as its vertices go.
+    pub(crate) fn factorize<'a>(
+        &self,
+        slot: &'a mut Option<SparseLlt>,
+        positions_mm: &[Vec3],
+    ) -> Result<&'a SparseLlt> {
+        SparseLlt::factorize_again(slot, &self.matrix, || self.places_mm(positions_mm))
     }
 
     /// Place of each row; rows of vertices that are not in the mesh lie where the border is that they are coupled to.

@@ -7,6 +7,7 @@ mod harmonic;
 pub mod locate;
 pub mod matching;
 pub mod mobius;
+pub mod sphere;
 pub mod thin_plate;
 
 pub use angle_error::{AngleErrors, HISTOGRAM_BOUNDS_DEG};

@@ -9,13 +9,15 @@ use crate::view::compare::png_bytes;
 use crate::view::render::ViewSide;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, ValueEnum};
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use gv3_codec::mesh::repair::{RepairOptions, to_disk};
 use gv3_codec::mesh::{HalfEdges, TriMesh};
-use gv3_codec::param::disk::{DiskMapper, DiskOptions};
+use gv3_codec::param::disk::{DiskMap, DiskMapper, DiskOptions};
+use gv3_codec::param::sphere::{FlowOptions, FlowReport, double_cover_disk_map, sphere_map};
 use gv3_codec::param::{AngleErrors, HISTOGRAM_BOUNDS_DEG};
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -49,7 +51,7 @@ pub struct Flatten {
     /// Turn of that picture to the surface's left, degrees.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "checkerboard")]
     yaw: f32,
-    /// Mesh to write: the surface as mapped, the disk as its texture coordinates (OBJ).
+    /// Mesh to write: the surface as mapped, the disk as its texture coordinates; the sphere with method sphere (OBJ).
     #[arg(short, long, value_name = "OBJ")]
     out: Option<PathBuf>,
     /// Report as JSON.
@@ -61,21 +63,35 @@ pub struct Flatten {
 enum Method {
     /// Green's function on the border, one harmonic extension: the fast one.
     Green,
+    /// Double cover on the sphere by harmonic energy flow: the published reference, off-line.
+    Qiem,
+    /// A closed surface without handles on the unit sphere, by the same flow.
+    Sphere,
 }
 
 impl Method {
     fn name(self) -> &'static str {
         match self {
             Self::Green => "green",
+            Self::Qiem => "qiem",
+            Self::Sphere => "sphere",
         }
     }
 }
 
 /// A map and what is known of it.
 struct Flattened {
-    points: Vec<DVec2>,
+    /// Points of the disk, z = 0, or of the sphere.
+    points: Vec<DVec3>,
     border: Vec<u32>,
     flips: usize,
+}
+
+impl From<DiskMap> for Flattened {
+    fn from(map: DiskMap) -> Self {
+        let points = map.points.iter().map(|z| z.extend(0.0)).collect();
+        Self { points, border: map.border, flips: map.flips }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -122,20 +138,28 @@ impl StageClock {
 
 impl Flatten {
     pub(super) fn run(self) -> Result<Outcome> {
+        if self.method == Method::Sphere && self.checkerboard.is_some() {
+            bail!("the checkerboard is one of the disk; the sphere has none");
+        }
+        if self.method != Method::Green && (self.unflip || self.centre.is_some()) {
+            bail!("--unflip and --centre belong to the method green");
+        }
         let read = read_mesh(&self.mesh)?;
         let mut notes = Vec::new();
         let started = Instant::now();
         let disk = self.disk(read, &mut notes)?;
         let repair_ms = started.elapsed().as_secs_f64() * 1e3;
         let mut clock = StageClock::start();
-        let map = self.map(&disk, &mut clock).with_context(|| format!("{}: cannot be mapped", self.mesh.display()))?;
+        let map = self
+            .map(&disk, &mut clock, &mut notes)
+            .with_context(|| format!("{}: cannot be mapped", self.mesh.display()))?;
         let total_ms = clock.ms.values().sum();
         clock.ms.insert("total", total_ms);
         if !self.no_repair {
             clock.ms.insert("repair", repair_ms);
         }
         let at = |v: u32| disk.positions_mm[v as usize].as_dvec3();
-        let errors = AngleErrors::between(&disk.triangles, at, |v| map.points[v as usize].extend(0.0));
+        let errors = AngleErrors::between(&disk.triangles, at, |v| map.points[v as usize]);
         let deviation = |&v: &u32| (map.points[v as usize].length() - 1.0).abs();
         let report = FlattenReport {
             vertices: disk.vertex_count(),
@@ -156,9 +180,12 @@ impl Flatten {
         Outcome::of(self.json, &report, || describe(&report))
     }
 
-    /// The mesh as a topological disk.
+    /// The mesh as a topological disk; as it is for the sphere, whose map checks it.
     fn disk(&self, mesh: TriMesh, notes: &mut Vec<String>) -> Result<TriMesh> {
         let name = self.mesh.display();
+        if self.method == Method::Sphere {
+            return Ok(mesh);
+        }
         if self.no_repair {
             let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)
                 .with_context(|| format!("{name}: not without repair"))?;
@@ -177,27 +204,57 @@ impl Flatten {
         Ok(disk)
     }
 
-    fn map(&self, mesh: &TriMesh, clock: &mut StageClock) -> Result<Flattened> {
+    fn map(&self, mesh: &TriMesh, clock: &mut StageClock, notes: &mut Vec<String>) -> Result<Flattened> {
         match self.method {
             Method::Green => {
                 let options = DiskOptions { centre: self.centre.map(|v| v - 1), unflip: self.unflip };
-                let map = DiskMapper::new(options).map(mesh, &mut |stage| clock.end(stage))?;
-                Ok(Flattened { points: map.points, border: map.border, flips: map.flips })
+                Ok(DiskMapper::new(options).map(mesh, &mut |stage| clock.end(stage))?.into())
+            }
+            Method::Qiem => {
+                let (map, flow) = double_cover_disk_map(mesh, &FlowOptions::default())?;
+                clock.end("flow");
+                notes.push(describe_flow(&flow));
+                Ok(map.into())
+            }
+            Method::Sphere => {
+                let map = sphere_map(mesh, &FlowOptions::default())?;
+                clock.end("flow");
+                notes.push(describe_flow(&map.flow));
+                Ok(Flattened { points: map.points, border: Vec::new(), flips: map.flips })
             }
         }
     }
 
-    fn write(&self, disk: &TriMesh, points: &[DVec2]) -> Result<()> {
+    fn write(&self, mesh: &TriMesh, points: &[DVec3]) -> Result<()> {
+        let disk: Vec<DVec2> = points.iter().map(|p| p.truncate()).collect();
         if let Some(path) = &self.checkerboard {
             let side = ViewSide { yaw_rad: self.yaw.to_radians(), ..Default::default() };
-            write_whole(path, &png_bytes(&checkerboard(disk, points, side)))?;
+            write_whole(path, &png_bytes(&checkerboard(mesh, &disk, side)))?;
         }
         if let Some(path) = &self.out {
-            let flat = TriMesh { uv: Some(disk_uv(points)), ..disk.clone() };
-            write_whole(path, &obj_bytes(&flat, None))?;
+            let mapped = match self.method {
+                Method::Sphere => {
+                    TriMesh { positions_mm: points.iter().map(|p| p.as_vec3()).collect(), ..mesh.clone() }
+                }
+                _ => TriMesh { uv: Some(disk_uv(&disk)), ..mesh.clone() },
+            };
+            write_whole(path, &obj_bytes(&mapped, None))?;
         }
         Ok(())
     }
+}
+
+/// How a flow went; one that did not end by itself is warned of on standard error too.
+fn describe_flow(flow: &FlowReport) -> String {
+    let steps = flow.energy.len() - 1;
+    let excess = 100.0 * (flow.energy[steps] / (4.0 * PI) - 1.0);
+    let end = if flow.converged { "converged" } else { "not converged" };
+    let text =
+        format!("flow: {end} after {steps} steps of {:.0}, energy {excess:.3} % above that of a sphere", flow.step);
+    if !flow.converged {
+        tracing::warn!("{text}");
+    }
+    text
 }
 
 /// Reads an OBJ or PLY mesh, by the ending of its name.
@@ -215,7 +272,7 @@ fn describe(r: &FlattenReport) -> String {
     let mut text = String::new();
     let angle = &r.angle_error_deg;
     // Writing to a String cannot fail.
-    let _ = writeln!(text, "{} vertices on the disk, method {}", r.vertices, r.method);
+    let _ = writeln!(text, "{} vertices mapped, method {}", r.vertices, r.method);
     let _ = writeln!(
         text,
         "  angle error  mean {:.3}, sd {:.3}, p99 {:.2}, max {:.1} degrees",
