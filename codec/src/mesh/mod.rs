@@ -21,4 +21,5 @@ pub use half_edge::HalfEdges;
 pub use laplacian::{cotangent_laplacian, intrinsic_laplacian};
 pub use normals::sphere_normals;
 pub use tri_mesh::TriMesh;
+pub(crate) use tri_mesh::quality;
 pub use vertex_area::{barycentric_areas_mm2, mixed_areas_mm2};

@@ -1,13 +1,20 @@
 //! Makes any scan a topological disk: one piece, one boundary loop, no holes, no handles.
 //!
-//! Triangles are taken away first (their neighbours are unlinked, nothing is paired twice), then holes are filled,
-//! the border is smoothed and the result is checked.
+//! Triangles are taken away first, spikes and slivers among them, the border may be clipped, then holes are filled, the
+//! border is smoothed and the result is checked.
 
-use super::half_edge::{HalfEdges, NONE, components, next, pair_edges, prev};
+mod border;
+mod clip;
+mod report;
+mod surface;
+
+use super::half_edge::{HalfEdges, NONE};
 use super::{TriMesh, hole_fill::fill_hole};
 use crate::{CodecError, Result};
-use glam::Vec3;
-use std::fmt;
+use border::{longest_loop, smooth_border};
+use clip::clip_border;
+pub use report::RepairReport;
+use surface::Surface;
 
 /// What [`to_disk`] may do.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,6 +25,12 @@ pub struct RepairOptions {
     pub min_border_quality: f32,
     /// Times that the outer border is smoothed along itself, within the tangent planes.
     pub smooth_rounds: u32,
+    /// Whether a ragged border is clipped along a smooth curve one or two vertices inside, before it is smoothed.
+    pub clip_border: bool,
+    /// A vertex farther from the middle of its neighbours than this many edges of the ring they form is a spike.
+    pub max_spike_ratio: f32,
+    /// Triangles inside the surface below this shape quality are slivers.
+    pub min_inner_quality: f32,
     /// Largest hole that is filled, in boundary edges.
     pub max_hole_edges: usize,
     /// Whether a closed mesh is opened, by keeping the largest patch that faces +z; an error otherwise.
@@ -26,13 +39,22 @@ pub struct RepairOptions {
 
 impl Default for RepairOptions {
     fn default() -> Self {
-        Self { trim_rounds: 3, min_border_quality: 0.15, smooth_rounds: 5, max_hole_edges: 4096, open_closed: false }
+        Self {
+            trim_rounds: 3,
+            min_border_quality: 0.15,
+            smooth_rounds: 5,
+            clip_border: false,
+            max_spike_ratio: 8.0,
+            min_inner_quality: 1e-3,
+            max_hole_edges: 4096,
+            open_closed: false,
+        }
     }
 }
 
-/// Repairs `mesh` into a topological disk: the largest piece, oriented, without non-manifold edges or vertices, its
-/// border trimmed and smoothed, all boundary loops but the longest filled. Every vertex of the result is used; vertices
-/// and triangles keep their order.
+/// Repairs `mesh` into a topological disk: the largest piece, oriented, without non-manifold edges or vertices, spikes or
+/// slivers, its border trimmed and smoothed, all boundary loops but the longest filled. Every vertex of the result is
+/// used; vertices and triangles keep their order.
 ///
 /// # Errors
 /// [`CodecError::Mesh`] when indices or texture coordinates do not fit the vertices, nothing is left, the surface has
@@ -48,9 +70,13 @@ pub fn to_disk(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repa
         report.opened_triangles = surface.remove_where(|s, t| s.normal(t).z <= 0.0);
         report.other_piece_triangles += surface.keep_largest_piece();
     }
+    surface.cut_spikes_and_slivers(options, &mut report);
     surface.trim(options, &mut report);
     let (mut disk, source) = surface.into_mesh();
     report.source = source;
+    if options.clip_border {
+        disk = clip(&disk, options, &mut report)?;
+    }
     if disk.triangles.is_empty() {
         return Err(CodecError::Mesh("no usable surface is left after repair".into()));
     }
@@ -64,22 +90,40 @@ pub fn to_disk(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repa
     Ok((disk, report))
 }
 
+/// Clips the border and takes away what hangs on by too little then.
+fn clip(mesh: &TriMesh, options: &RepairOptions, report: &mut RepairReport) -> Result<TriMesh> {
+    let (clipped, before) = clip_border(mesh)?;
+    let lost = mesh.triangles.len() - clipped.triangles.len().min(mesh.triangles.len());
+    report.clipped_triangles += lost;
+    let mut surface = Surface::new(&clipped, report)?;
+    report.other_piece_triangles += surface.keep_largest_piece();
+    surface.trim(options, report);
+    let (kept, source) = surface.into_mesh();
+    let first = |v: u32| before[v as usize];
+    report.source =
+        source.into_iter().map(|v| if first(v) == NONE { NONE } else { report.source[first(v) as usize] }).collect();
+    Ok(kept)
+}
+
 /// Fills all boundary loops but the longest, which is returned.
 fn fill_holes(mesh: &mut TriMesh, options: &RepairOptions, report: &mut RepairReport) -> Result<Vec<u32>> {
     let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
     let mut loops = half_edges.boundary_loops();
     let handles = (2 - loops.len() as i64 - half_edges.euler_characteristic()) / 2;
     if handles > 0 {
-        return Err(CodecError::Mesh(format!("has {handles} handles; a scan seen from one side has none")));
+        let at = half_edges.handle_edge().map_or_else(String::new, |(a, b)| {
+            let [a, b] = [a, b].map(|v| report.source[v as usize]);
+            if a == NONE || b == NONE { String::new() } else { format!(" (one through edge {}-{})", a + 1, b + 1) }
+        });
+        return Err(CodecError::Mesh(format!(
+            "has {handles} handles{at}; a scan seen from one side has none: cut them open"
+        )));
     }
-    let length_mm = |ring: &Vec<u32>| -> f64 {
-        let point = |i: usize| mesh.positions_mm[ring[i % ring.len()] as usize];
-        (0..ring.len()).map(|i| f64::from((point(i + 1) - point(i)).length())).sum()
+    let border = longest_loop(mesh, &loops);
+    let Some(at) = loops.iter().position(|ring| *ring == border) else {
+        return Err(CodecError::Mesh("has no border after repair".into()));
     };
-    let lengths: Vec<f64> = loops.iter().map(length_mm).collect();
-    let longest = (0..loops.len()).rev().max_by(|&i, &j| lengths[i].total_cmp(&lengths[j]));
-    let Some(longest) = longest else { return Err(CodecError::Mesh("has no border after repair".into())) };
-    let border = loops.swap_remove(longest);
+    loops.swap_remove(at);
     let (vertices, triangles) = (mesh.vertex_count(), mesh.triangles.len());
     for ring in &loops {
         if ring.len() > options.max_hole_edges {
@@ -102,8 +146,9 @@ fn fill_holes(mesh: &mut TriMesh, options: &RepairOptions, report: &mut RepairRe
 
 #[cfg(test)]
 mod tests {
-    use super::super::test_surfaces::sphere;
+    use super::super::{quality, test_surfaces::sphere};
     use super::*;
+    use glam::Vec3;
     use proptest::prelude::*;
 
     /// Flat camera grid of 1 mm in which `seen` pixels have a vertex.
@@ -211,6 +256,54 @@ mod tests {
     }
 
     #[test]
+    fn spikes_are_cut_and_their_place_filled() {
+        let mut mesh = scan(30, 30, |_, _| true);
+        for spike in [15 * 30 + 15, 20 * 30 + 8] {
+            mesh.positions_mm[spike].z += 40.0;
+        }
+        let (disk, report) = repair(&mesh);
+        assert_eq!((report.spike_triangles, report.holes), (12, 2), "{report}");
+        assert!(report.has_damage() && report.to_string().contains("12 triangles around spikes"));
+        assert!(disk.positions_mm.iter().all(|p| p.z < 1.1));
+        let gentle = RepairOptions { max_spike_ratio: f32::INFINITY, ..Default::default() };
+        assert_eq!(to_disk(&mesh, &gentle).unwrap().1.spike_triangles, 0);
+    }
+
+    #[test]
+    fn needles_caps_and_points_in_one_place_are_made_anew() {
+        for (vertex, place) in [
+            (15 * 30 + 15, Vec3::new(15.999_99, 15.0, 0.0)),
+            (15 * 30 + 15, Vec3::new(16.0, 15.0, 0.0)),
+            (10 * 30 + 12, Vec3::new(12.5, 10.999_99, 0.0)),
+        ] {
+            let mut mesh = scan(30, 30, |_, _| true);
+            mesh.positions_mm.iter_mut().for_each(|p| p.z = 0.0);
+            mesh.positions_mm[vertex] = place;
+            let worst = |m: &TriMesh| (0..m.triangles.len()).map(|t| quality(m.corners(t))).fold(1.0, f32::min);
+            assert!(worst(&mesh) < 1e-3);
+            let (disk, report) = repair(&mesh);
+            assert!(report.sliver_triangles > 0 && report.holes == 1, "{report}");
+            assert!(worst(&disk) > 0.02, "{}", worst(&disk));
+        }
+    }
+
+    #[test]
+    fn a_ragged_border_is_clipped_when_wanted() {
+        let mesh = scan(60, 60, |x, y| {
+            (x as f32 - 30.0).hypot(y as f32 - 30.0) < 26.3 && x.abs_diff(30).max(y.abs_diff(30)) > 3
+        });
+        let options = RepairOptions { clip_border: true, ..Default::default() };
+        let (disk, report) = to_disk(&mesh, &options).unwrap();
+        disk.validate().unwrap();
+        assert!(HalfEdges::build(disk.vertex_count(), &disk.triangles).unwrap().is_disk());
+        assert!(report.clipped_triangles > 0 && report.holes == 1, "{report}");
+        assert_eq!(report.source.len(), disk.vertex_count());
+        let old = report.source.iter().zip(&disk.positions_mm).filter(|(v, _)| **v != NONE);
+        let near = old.filter(|(v, p)| mesh.positions_mm[**v as usize].distance(**p) < 1.5).count();
+        assert_eq!(near, report.source.iter().filter(|v| **v != NONE).count());
+    }
+
+    #[test]
     fn handles_oversized_holes_and_nonsense_are_refused() {
         let mut torus = TriMesh::default();
         for y in 0..12u32 {
@@ -221,7 +314,7 @@ mod tests {
             }
         }
         torus.triangles.retain(|t| !t.contains(&66));
-        assert!(refusal(&torus).contains("1 handles"));
+        assert!(refusal(&torus).contains("1 handles (one through edge "));
         let holed = scan(30, 30, |x, y| x.abs_diff(15).max(y.abs_diff(15)) > 5);
         let options = RepairOptions { max_hole_edges: 10, ..Default::default() };
         assert!(to_disk(&holed, &options).unwrap_err().to_string().contains("larger than the 10"));
@@ -241,7 +334,11 @@ mod tests {
                 prop_assert!(disk.validate().is_ok());
                 let half_edges = HalfEdges::build(disk.vertex_count(), &disk.triangles).unwrap();
                 prop_assert!(half_edges.is_disk());
-                let lost = report.border_triangles + report.bow_tie_triangles + report.other_piece_triangles;
+                let lost = report.border_triangles
+                    + report.bow_tie_triangles
+                    + report.other_piece_triangles
+                    + report.spike_triangles
+                    + report.sliver_triangles;
                 prop_assert_eq!(mesh.triangles.len() - lost + report.filled_triangles, disk.triangles.len());
             } else {
                 prop_assert!(false, "a planar grid can always be repaired");

@@ -45,6 +45,9 @@ pub struct Flatten {
     /// Cut open a closed surface where it faces away from +z, instead of refusing it.
     #[arg(long, conflicts_with = "no_repair")]
     open_closed: bool,
+    /// Clip a ragged border along a smooth curve a vertex or two inside.
+    #[arg(long, conflicts_with = "no_repair")]
+    clip_border: bool,
     /// Picture to draw: a checkerboard on the disk, carried back to the surface (PNG).
     #[arg(long, value_name = "PNG")]
     checkerboard: Option<PathBuf>,
@@ -198,7 +201,8 @@ impl Flatten {
             }
             return Ok(mesh);
         }
-        let options = RepairOptions { open_closed: self.open_closed, ..Default::default() };
+        let options =
+            RepairOptions { open_closed: self.open_closed, clip_border: self.clip_border, ..Default::default() };
         let (disk, report) = to_disk(&mesh, &options).with_context(|| format!("{name}: cannot be repaired"))?;
         notes.push(format!("repair: {report}"));
         Ok(disk)
@@ -295,4 +299,83 @@ fn describe(r: &FlattenReport) -> String {
         let _ = writeln!(text, "  {note}");
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+    use glam::Vec3;
+
+    #[derive(Parser)]
+    struct Shell {
+        #[command(flatten)]
+        flatten: Flatten,
+    }
+
+    fn run(arguments: &[&str]) -> Result<Outcome> {
+        Shell::try_parse_from(std::iter::once("flatten").chain(arguments.iter().copied()))?.flatten.run()
+    }
+
+    /// A dome on a grid of 24 x 24 vertices.
+    fn dome() -> TriMesh {
+        let at = |i: u32| Vec3::new((i % 24) as f32 - 11.5, (i / 24) as f32 - 11.5, 0.0);
+        let place = |p: Vec3| p + Vec3::Z * (400.0 - p.length_squared()).sqrt();
+        let quads = (0..23 * 23).map(|i| i / 23 * 24 + i % 23);
+        TriMesh {
+            positions_mm: (0..24 * 24).map(|i| place(at(i))).collect(),
+            triangles: quads.flat_map(|a| [[a, a + 1, a + 25], [a, a + 25, a + 24]]).collect(),
+            uv: None,
+        }
+    }
+
+    #[test]
+    fn a_dome_is_mapped_reported_drawn_and_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+        let (mesh, picture, out) = (path("dome.obj"), path("dome.png"), path("flat.obj"));
+        std::fs::write(&mesh, obj_bytes(&dome(), None)).unwrap();
+        let outcome = run(&[&mesh, "--json", "--checkerboard", &picture, "-o", &out]).unwrap();
+        let report: serde_json::Value = serde_json::from_str(&outcome.report).unwrap();
+        let keys: Vec<&str> = report.as_object().unwrap().keys().map(String::as_str).collect();
+        let expected = ["angle_error_deg", "boundary_deviation", "flips", "method", "ms", "vertices"];
+        assert!(keys.len() == 6 && expected.iter().all(|key| keys.contains(key)), "{keys:?}");
+        assert!(report["angle_error_deg"]["mean"].as_f64().unwrap() < 2.0);
+        assert!(report["flips"] == 0 && report["boundary_deviation"].as_f64().unwrap() < 1e-9);
+        assert!(report["ms"]["total"].as_f64().unwrap() > 0.0);
+        let flat = read_obj(Path::new(&out)).unwrap().mesh;
+        assert_eq!(flat.vertex_count() as u64, report["vertices"].as_u64().unwrap());
+        assert!(flat.uv.unwrap().iter().all(|uv| (uv[0] - 0.5).hypot(uv[1] - 0.5) < 0.501));
+        assert!(std::fs::read(&picture).unwrap().starts_with(b"\x89PNG"));
+    }
+
+    #[test]
+    fn the_reference_method_agrees_and_words_say_how_it_went() {
+        let folder = tempfile::tempdir().unwrap();
+        let mesh = folder.path().join("dome.obj");
+        std::fs::write(&mesh, obj_bytes(&dome(), None)).unwrap();
+        let text = run(&[mesh.to_str().unwrap(), "--method", "qiem", "--no-repair"]).unwrap().report;
+        assert!(text.contains("flow: converged") && text.contains("turned over  0"), "{text}");
+    }
+
+    #[test]
+    fn what_cannot_be_mapped_is_said() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str, mesh: &TriMesh| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, obj_bytes(mesh, None)).unwrap();
+            path.to_str().unwrap().to_owned()
+        };
+        let error = |arguments: &[&str]| format!("{:#}", run(arguments).unwrap_err());
+        let mut holed = dome();
+        holed.triangles.retain(|t| !t.contains(&300));
+        let holed = file("holed.obj", &holed);
+        assert!(error(&[&holed, "--no-repair"]).contains("1 pieces with 2 borders are no disk"));
+        assert!(run(&[&holed]).unwrap().report.contains("1 holes filled"));
+        assert!(error(&[&holed, "--method", "sphere"]).contains("not closed: edge"));
+        assert!(error(&[&holed, "--method", "sphere", "--checkerboard", "x.png"]).contains("checkerboard"));
+        assert!(error(&[&holed, "--method", "qiem", "--unflip"]).contains("belong to the method green"));
+        assert!(error(&[&holed, "--centre", "1000000"]).contains("cannot be the centre"));
+        assert!(error(&["scan.stl"]).contains("neither .obj nor .ply"));
+    }
 }

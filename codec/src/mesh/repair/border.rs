@@ -9,7 +9,13 @@ const MIN_SMOOTHED_QUALITY: f32 = 0.1;
 
 /// Moves each border vertex half-way to the middle of its border neighbours, within its tangent plane, unless that
 /// would turn or squeeze a triangle.
-fn smooth_border(mesh: &mut TriMesh, half_edges: &HalfEdges, border: &[u32], rounds: u32, report: &mut RepairReport) {
+pub(super) fn smooth_border(
+    mesh: &mut TriMesh,
+    half_edges: &HalfEdges,
+    border: &[u32],
+    rounds: u32,
+    report: &mut RepairReport,
+) {
     let n = border.len();
     let before: Vec<Vec3> = border.iter().map(|&v| mesh.positions_mm[v as usize]).collect();
     for _ in 0..rounds {
@@ -43,4 +49,15 @@ fn smooth_vertex(mesh: &mut TriMesh, half_edges: &HalfEdges, [previous, v, follo
             uv[v as usize] = std::array::from_fn(|c| here[c] * 0.5 + (p[c] + q[c]) * 0.25);
         }
     }
+}
+
+/// The longest of several loops, the first of equals; none when there is none.
+pub(super) fn longest_loop(mesh: &TriMesh, loops: &[Vec<u32>]) -> Vec<u32> {
+    let length_mm = |ring: &Vec<u32>| -> f64 {
+        let point = |i: usize| mesh.positions_mm[ring[i % ring.len()] as usize];
+        (0..ring.len()).map(|i| f64::from((point(i + 1) - point(i)).length())).sum()
+    };
+    let lengths: Vec<f64> = loops.iter().map(length_mm).collect();
+    let longest = (0..loops.len()).rev().max_by(|&i, &j| lengths[i].total_cmp(&lengths[j]));
+    longest.map_or_else(Vec::new, |i| loops[i].clone())
 }

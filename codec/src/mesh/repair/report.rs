@@ -19,11 +19,17 @@ pub struct RepairReport {
     pub border_triangles: usize,
     /// Triangles of the smaller fans where several met in one vertex.
     pub bow_tie_triangles: usize,
+    /// Triangles around spikes inside the surface, filled afresh.
+    pub spike_triangles: usize,
+    /// Triangles around the blunt corners of slivers inside the surface, filled afresh.
+    pub sliver_triangles: usize,
+    /// Triangles beyond the smooth curve along which the border was clipped.
+    pub clipped_triangles: usize,
     /// Holes filled.
     pub holes: usize,
     /// Boundary edges of the largest of them.
     pub largest_hole_edges: usize,
-    /// New vertices, the last ones of the mesh.
+    /// New vertices in holes, the last ones of the mesh.
     pub filled_vertices: usize,
     /// New triangles, the last ones of the mesh.
     pub filled_triangles: usize,
@@ -31,7 +37,7 @@ pub struct RepairReport {
     pub smoothed_vertices: usize,
     /// Farthest that one moved, mm.
     pub largest_move_mm: f32,
-    /// For each vertex of the result its index in the input; `u32::MAX` for filled ones. Ascending otherwise.
+    /// For each vertex of the result its index in the input; `u32::MAX` for filled ones and those on a clipped border. Ascending otherwise.
     pub source: Vec<u32>,
 }
 
@@ -44,6 +50,7 @@ impl RepairReport {
             self.flipped_triangles,
             self.other_piece_triangles,
             self.opened_triangles,
+            self.spike_triangles,
             self.holes,
         ];
         counts.iter().any(|&c| c > 0)
@@ -60,6 +67,9 @@ impl fmt::Display for RepairReport {
             (self.opened_triangles, "triangles facing away dropped"),
             (self.border_triangles, "border triangles trimmed"),
             (self.bow_tie_triangles, "bow-tie triangles dropped"),
+            (self.spike_triangles, "triangles around spikes made anew"),
+            (self.sliver_triangles, "triangles around slivers made anew"),
+            (self.clipped_triangles, "triangles clipped off a ragged border"),
         ];
         for (count, what) in counts.into_iter().filter(|(count, _)| *count > 0) {
             write!(f, "{count} {what}, ")?;

@@ -9,7 +9,7 @@ use crate::{CodecError, Result};
 use glam::Vec3;
 
 /// The input with triangles taken away.
-struct Surface<'a> {
+pub(super) struct Surface<'a> {
     mesh: &'a TriMesh,
     origin: Vec<u32>,
     twin: Vec<u32>,
@@ -18,7 +18,7 @@ struct Surface<'a> {
 
 impl<'a> Surface<'a> {
     /// Usable triangles, paired and oriented; edges with more than two triangles are cut out.
-    fn new(mesh: &'a TriMesh, report: &mut RepairReport) -> Result<Self> {
+    pub(super) fn new(mesh: &'a TriMesh, report: &mut RepairReport) -> Result<Self> {
         check_indices(mesh)?;
         let usable = |t: &&[u32; 3]| {
             let finite = t.iter().all(|&v| mesh.positions_mm[v as usize].is_finite());
@@ -47,7 +47,7 @@ impl<'a> Surface<'a> {
     }
 
     /// Takes away every triangle for which `test` holds on the surface as it is now.
-    fn remove_where(&mut self, test: impl Fn(&Self, usize) -> bool) -> usize {
+    pub(super) fn remove_where(&mut self, test: impl Fn(&Self, usize) -> bool) -> usize {
         let list: Vec<usize> = (0..self.alive.len()).filter(|&t| self.alive[t] && test(self, t)).collect();
         list.iter().filter(|&&t| self.remove(t)).count()
     }
@@ -56,7 +56,7 @@ impl<'a> Surface<'a> {
         [0, 1, 2].map(|k| self.mesh.positions_mm[self.origin[3 * t + k] as usize])
     }
 
-    fn normal(&self, t: usize) -> Vec3 {
+    pub(super) fn normal(&self, t: usize) -> Vec3 {
         let [a, b, c] = self.corners(t);
         (b - a).cross(c - a)
     }
@@ -65,7 +65,7 @@ impl<'a> Surface<'a> {
         self.twin[3 * t..3 * t + 3].contains(&NONE)
     }
 
-    fn is_closed(&self) -> bool {
+    pub(super) fn is_closed(&self) -> bool {
         let mut pieces = (0..self.alive.len()).filter(|&t| self.alive[t]).peekable();
         pieces.peek().is_some() && pieces.all(|t| !self.is_border_triangle(t))
     }
@@ -122,7 +122,7 @@ impl<'a> Surface<'a> {
     }
 
     /// Drops every piece but that with the most triangles, the first of equals.
-    fn keep_largest_piece(&mut self) -> usize {
+    pub(super) fn keep_largest_piece(&mut self) -> usize {
         let (label, count) = components(&self.twin);
         let mut sizes = vec![0usize; count];
         for (t, &piece) in label.iter().enumerate() {
@@ -132,9 +132,45 @@ impl<'a> Surface<'a> {
         self.remove_where(|_, t| label[t] as usize != largest)
     }
 
+    /// Takes away what stands in the way of a map inside the surface; holes are left, to be filled afresh: the triangles
+    /// around spikes, vertices far from the middle of their neighbours for the size of the ring these form, then those
+    /// around the blunt corner of slivers.
+    pub(super) fn cut_spikes_and_slivers(&mut self, options: &RepairOptions, report: &mut RepairReport) {
+        let mut rings = vec![(0u32, Vec3::ZERO, 0f32); self.mesh.vertex_count()];
+        for h in (0..self.origin.len()).filter(|&h| self.alive[h / 3]) {
+            let [a, b] = [next(h as u32), prev(h as u32)].map(|h| self.position(h));
+            let ring = &mut rings[self.origin[h] as usize];
+            *ring = (ring.0 + 2, ring.1 + a + b, ring.2 + 2.0 * a.distance(b));
+        }
+        let spike = |v: u32| {
+            let (count, sum, length) = rings[v as usize];
+            let away = self.mesh.positions_mm[v as usize] * count as f32 - sum;
+            count > 0 && away.length() > options.max_spike_ratio * length
+        };
+        let mut cut: Vec<bool> = (0..self.mesh.vertex_count() as u32).map(spike).collect();
+        report.spike_triangles += self.remove_around(&cut);
+        cut.fill(false);
+        for t in
+            (0..self.alive.len()).filter(|&t| self.alive[t] && quality(self.corners(t)) < options.min_inner_quality)
+        {
+            let length2 = |h: u32| self.position(next(h)).distance_squared(self.position(prev(h)));
+            let blunt = (3 * t as u32..3 * t as u32 + 3).max_by(|&g, &h| length2(g).total_cmp(&length2(h)));
+            cut[self.origin[blunt.unwrap_or(3 * t as u32) as usize] as usize] = true;
+        }
+        report.sliver_triangles += self.remove_around(&cut);
+    }
+
+    fn position(&self, h: u32) -> Vec3 {
+        self.mesh.positions_mm[self.origin[h as usize] as usize]
+    }
+
+    fn remove_around(&mut self, cut: &[bool]) -> usize {
+        self.remove_where(|s, t| (3 * t..3 * t + 3).any(|h| cut[s.origin[h] as usize]))
+    }
+
     /// Peels thin triangles off the borders, opens the surface (triangles without an inner vertex go, and with them
     /// teeth, whiskers and bridges), and cuts bow-ties, until nothing changes.
-    fn trim(&mut self, options: &RepairOptions, report: &mut RepairReport) {
+    pub(super) fn trim(&mut self, options: &RepairOptions, report: &mut RepairReport) {
         for _ in 0..options.trim_rounds {
             let thin =
                 |s: &Self, t: usize| s.is_border_triangle(t) && quality(s.corners(t)) < options.min_border_quality;
@@ -231,7 +267,7 @@ impl<'a> Surface<'a> {
         })
     }
 
-    fn into_mesh(self) -> (TriMesh, Vec<u32>) {
+    pub(super) fn into_mesh(self) -> (TriMesh, Vec<u32>) {
         let triangles = self.origin.chunks_exact(3).zip(&self.alive).filter(|(_, alive)| **alive);
         let kept = TriMesh {
             positions_mm: self.mesh.positions_mm.clone(),
