@@ -19,13 +19,13 @@ pub(super) fn nested_dissection(matrix: &LowerCsc, places: &[Vec3]) -> Vec<u32> 
     let (start, neighbours) = adjacency(matrix);
     let mut order: Vec<u32> = (0..matrix.size() as u32).collect();
     let mut part_of = vec![0u32; order.len()];
-    let mut parts = vec![0..order.len()];
+    let mut parts = vec![(0, order.len())];
     let mut stamp = 0;
-    while let Some(part) = parts.pop() {
-        if part.len() <= LEAF_ROWS {
+    while let Some((first, end)) = parts.pop() {
+        if end - first <= LEAF_ROWS {
             continue;
         }
-        let rows = &mut order[part.clone()];
+        let rows = &mut order[first..end];
         let axis = longest_axis(rows, places);
         let middle = rows.len() / 2;
         rows.select_nth_unstable_by(middle, |&a, &b| places[a as usize][axis].total_cmp(&places[b as usize][axis]));
@@ -43,8 +43,8 @@ pub(super) fn nested_dissection(matrix: &LowerCsc, places: &[Vec3]) -> Vec<u32> 
             }
         }
         rows[inner..].rotate_left(middle - inner);
-        parts.push(part.start..part.start + inner);
-        parts.push(part.start + inner..part.end - (middle - inner));
+        parts.push((first, first + inner));
+        parts.push((first + inner, end - (middle - inner)));
     }
     order
 }

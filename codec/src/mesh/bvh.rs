@@ -328,7 +328,7 @@ impl Triangle {
         let distance = ac.dot(along) / determinant;
         let inside = v >= -EDGE_SLACK && w >= -EDGE_SLACK && v + w <= 1.0 + EDGE_SLACK && distance >= 0.0;
         let (v, w) = (v as f32, w as f32);
-        inside.then(|| RayHit { triangle: self.id, distance_mm: distance as f32, barycentric: [1.0 - v - w, v, w] })
+        inside.then_some(RayHit { triangle: self.id, distance_mm: distance as f32, barycentric: [1.0 - v - w, v, w] })
     }
 }
 
