@@ -5,11 +5,11 @@ use glam::Vec3;
 use gv3_codec::{
     GreyPicture, Scan,
     mesh::{
-        Bvh, HalfEdges, TriMesh,
+        Bvh, HalfEdges, TriMesh, cotangent_laplacian, mean_curvature,
         repair::{RepairOptions, to_disk},
         simplify::{SimplifyOptions, simplify},
     },
-    param::disk::disk_map,
+    param::disk::{DiskMapper, disk_map},
 };
 use std::hint::black_box;
 
@@ -61,6 +61,7 @@ fn bench(c: &mut Criterion) {
     let holed = face(true);
     let (disk, _) = to_disk(&scan.mesh, &RepairOptions::default()).expect("the generated scan can be repaired");
     let (small, _) = simplify(&disk, 20_000, &SimplifyOptions::default()).expect("it is a disk");
+    let (half, _) = simplify(&disk, 60_000, &SimplifyOptions::default()).expect("it is a disk");
     let replay = Scan { mesh: small, ..scan.clone() };
     let bvh = Bvh::new(&scan.mesh);
     let mut group = c.benchmark_group(format!("mesh of {} vertices", scan.mesh.vertex_count()));
@@ -77,7 +78,20 @@ fn bench(c: &mut Criterion) {
         b.iter(|| simplify(black_box(&disk), 20_000, &SimplifyOptions::default()));
     });
     group.bench_function("disk map of 20,000", |b| b.iter(|| disk_map(black_box(&replay.mesh))));
+    group.bench_function("disk map of 60,000", |b| b.iter(|| disk_map(black_box(&half))));
     group.bench_function("disk map of all", |b| b.iter(|| disk_map(black_box(&disk))));
+    let mut mapper = DiskMapper::default();
+    group.bench_function("disk map of all, same connectivity again", |b| {
+        b.iter(|| mapper.map(black_box(&disk), &mut |_| ()));
+    });
+    group.bench_function("cotangent Laplacian", |b| b.iter(|| cotangent_laplacian(black_box(&disk))));
+    group.bench_function("mean curvature", |b| b.iter(|| mean_curvature(black_box(&disk))));
+    group.bench_function("bvh 20,000 rays", |b| {
+        b.iter(|| {
+            let hit = |p: &Vec3| bvh.first_hit(*p + Vec3::Z * 50.0, Vec3::NEG_Z, 100.0);
+            replay.mesh.positions_mm.iter().filter_map(hit).count()
+        });
+    });
     group.finish();
 }
 

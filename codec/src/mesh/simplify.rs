@@ -7,7 +7,7 @@
 
 use super::bvh::Triangle;
 use super::half_edge::{HalfEdges, NONE, next, prev};
-use super::{TriMesh, repair::quality};
+use super::{TriMesh, quality};
 use crate::{CodecError, Result};
 use glam::{DVec3, Vec3};
 

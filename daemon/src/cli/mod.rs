@@ -7,6 +7,7 @@ mod capture;
 mod decode;
 mod demo;
 mod encode;
+mod flatten;
 mod info;
 mod measure;
 mod patterns;
@@ -50,6 +51,7 @@ enum Command {
     Measure(measure::Measure),
     Patterns(patterns::Patterns),
     CalibrateGamma(calibrate_gamma::CalibrateGamma),
+    Flatten(flatten::Flatten),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -92,6 +94,7 @@ pub fn main() -> ExitCode {
         Command::Measure(c) => c.run(),
         Command::Patterns(c) => c.run(),
         Command::CalibrateGamma(c) => c.run(),
+        Command::Flatten(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

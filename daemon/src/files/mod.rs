@@ -21,6 +21,7 @@ pub use assemble::{MeshFile, Repairs};
 pub use error::{FileError, Result};
 pub use processing_config::ProcessingConfig;
 pub use raw_folder::RawFolder;
+pub(crate) use scan_export::write_whole;
 pub use scan_export::{ExportFormat, ExportWriter};
 pub use scan_folder::{LoadedScan, ScanFolder};
 pub use spool::ScanSpool;

@@ -1,5 +1,6 @@
 //! Pictures of meshes, side-by-side comparisons and plots of errors, drawn in software.
 
+pub mod checkerboard;
 pub mod colour_map;
 pub mod compare;
 pub mod plot;
