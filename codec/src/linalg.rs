@@ -59,6 +59,30 @@ impl LowerCsc {
         m
     }
 
+    /// Entries of the lower triangle, diagonal included: (row, column, value), column by column, rows ascending.
+    pub fn entries(&self) -> impl Iterator<Item = (u32, u32, f64)> + '_ {
+        (0..self.size() as u32).flat_map(move |c| {
+            let range = self.column_start[c as usize] as usize..self.column_start[c as usize + 1] as usize;
+            self.rows[range.clone()].iter().zip(&self.values[range]).map(move |(&r, &v)| (r, c, v))
+        })
+    }
+
+    /// A x, of the whole symmetric matrix.
+    ///
+    /// # Panics
+    /// When `x` has not one value a row.
+    pub fn multiply(&self, x: &[f64]) -> Vec<f64> {
+        assert_eq!(x.len(), self.size(), "vector does not fit the matrix");
+        let mut y = vec![0.0; x.len()];
+        for (r, c, v) in self.entries() {
+            y[r as usize] += v * x[c as usize];
+            if r != c {
+                y[c as usize] += v * x[r as usize];
+            }
+        }
+        y
+    }
+
     /// Rows (and columns) of the matrix.
     pub fn size(&self) -> usize {
         self.column_start.len() - 1

@@ -469,6 +469,7 @@ fn smooth_vertex(mesh: &mut TriMesh, half_edges: &HalfEdges, [previous, v, follo
 
 #[cfg(test)]
 mod tests {
+    use super::super::test_surfaces::sphere;
     use super::*;
     use proptest::prelude::*;
 
@@ -567,33 +568,9 @@ mod tests {
         assert!(refusal(&moebius).contains("orientation"));
     }
 
-    fn sphere(n: u32) -> TriMesh {
-        let faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
-        let ends = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
-        let mut index = std::collections::BTreeMap::new();
-        let mut mesh = TriMesh::default();
-        for face in faces {
-            let [a, b, c] = face.map(|v: usize| ends[v].as_ivec3());
-            let mut at = |i: u32, j: u32| {
-                let p = a * (n - i - j) as i32 + b * i as i32 + c * j as i32;
-                *index.entry(p.to_array()).or_insert_with(|| {
-                    mesh.positions_mm.push(p.as_vec3().normalize() * 10.0);
-                    mesh.positions_mm.len() as u32 - 1
-                })
-            };
-            for (i, j) in (0..n).flat_map(|i| (0..n - i).map(move |j| (i, j))) {
-                mesh.triangles.push([at(i, j), at(i + 1, j), at(i, j + 1)]);
-                if i + j + 1 < n {
-                    mesh.triangles.push([at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]);
-                }
-            }
-        }
-        mesh
-    }
-
     #[test]
     fn closed_surfaces_are_refused_or_opened() {
-        let ball = sphere(12);
+        let ball = sphere(12, 10.0);
         assert!(refusal(&ball).contains("closed"));
         let (half, report) = to_disk(&ball, &RepairOptions { open_closed: true, ..Default::default() }).unwrap();
         assert!(report.opened_triangles >= ball.triangles.len() / 2);

@@ -5,10 +5,10 @@
 //! circle, and a harmonic extension by the same factorized Laplacian gives the rest. The intrinsic Delaunay
 //! triangulation makes all weights non-negative (maximum principle, Tutte's theorem on the intrinsic mesh).
 
-use super::intrinsic::IntrinsicMesh;
 use super::mobius::Mobius;
 use crate::linalg::{LowerCsc, SparseLlt};
 use crate::mesh::half_edge::{NONE, next};
+use crate::mesh::intrinsic::IntrinsicMesh;
 use crate::mesh::{HalfEdges, TriMesh};
 use crate::{CodecError, Result};
 use glam::DVec2;
@@ -264,36 +264,8 @@ fn turn_upright(mesh: &TriMesh, points: &mut [DVec2]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::test_surfaces::polar_disk;
     use glam::Vec3;
-
-    /// Rings of points on the unit disk and the triangulation between them.
-    fn polar_disk(rings: u32) -> (Vec<DVec2>, Vec<[u32; 3]>) {
-        let mut points = vec![DVec2::ZERO];
-        let mut triangles = Vec::new();
-        let start = |k: u32| if k == 0 { 0 } else { 1 + 3 * k * (k - 1) };
-        for k in 1..=rings {
-            for j in 0..6 * k {
-                points.push(DVec2::from_angle(TAU * f64::from(j) / f64::from(6 * k)) * f64::from(k) / f64::from(rings));
-            }
-            let (inner, outer) = (start(k - 1), start(k));
-            let at = |s: u32, n: u32, j: u32| if n == 0 { s } else { s + j % n };
-            for side in 0..6 {
-                for j in 0..k {
-                    let o = side * k + j;
-                    let i = side * (k - 1) + j;
-                    triangles.push([at(outer, 6 * k, o), at(outer, 6 * k, o + 1), at(inner, 6 * (k - 1), i)]);
-                    if j + 1 < k {
-                        triangles.push([
-                            at(inner, 6 * (k - 1), i),
-                            at(outer, 6 * k, o + 1),
-                            at(inner, 6 * (k - 1), i + 1),
-                        ]);
-                    }
-                }
-            }
-        }
-        (points, triangles)
-    }
 
     /// z + 0.3 z^2 rolled on a cylinder is conformal, so the disk map must return z up to a Möbius transformation.
     fn riemann_error(rings: u32) -> f64 {

@@ -1,13 +1,19 @@
-//! Parameterization: conformal disk maps, Möbius transformations, warps between disks, point location.
+//! Parameterization: conformal disk maps, Möbius transformations, warps between disks, point location, geodesics, and
+//! surfaces as mean curvature and conformal factor.
 
 pub mod beltrami;
 pub mod clamped_plate;
+mod conformal_factor;
+pub mod curvature_homotopy;
+pub mod curvature_map;
 pub mod dirichlet;
 pub mod disk;
 pub mod grid_plate;
-pub mod intrinsic;
 pub mod locate;
 mod log;
+pub mod match_energies;
 pub mod matching;
 pub mod mobius;
 pub mod thin_plate;
+
+pub use conformal_factor::conformal_factors;

@@ -1,6 +1,6 @@
 //! Intrinsic triangulation: edge lengths only, flipped until Delaunay (Fisher, Springborn, Schröder, Bobenko 2007).
 
-use crate::mesh::half_edge::{NONE, next, prev};
+use super::half_edge::{NONE, next, prev};
 use crate::{CodecError, Result};
 
 /// Cotangent sums below this make an edge flip; not zero, so that cocircular points end the loop.
@@ -26,8 +26,8 @@ pub struct IntrinsicMesh {
 }
 
 impl IntrinsicMesh {
-    /// From an embedded mesh: `twin` as in [`crate::mesh::HalfEdges`].
-    pub fn new(mesh: &crate::mesh::TriMesh, twin: &[u32]) -> Self {
+    /// From an embedded mesh: `twin` as in [`super::HalfEdges`].
+    pub fn new(mesh: &super::TriMesh, twin: &[u32]) -> Self {
         let origin: Vec<u32> = mesh.triangles.iter().flatten().copied().collect();
         let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
         let length =
