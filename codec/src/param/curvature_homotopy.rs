@@ -96,7 +96,7 @@ mod tests {
             let (key, between, after) = (error(0.8), error(0.6), error(1.7));
             println!("{form:?}: key {key:.4}, between {between:.4}, after {after:.4} mm;");
             println!("  vertex spline: between {:.4}, after {:.4} mm", vertex_error(0.6), vertex_error(1.7));
-            let limit = if form == CurvatureForm::FullVector { 0.05 } else { 3.0 };
+            let limit = if form == CurvatureForm::FullVector { 0.05 } else { 8.0 };
             assert!(key < limit && between < 0.5 + limit && after < 1.0 + limit);
             assert!(vertex_error(0.6) < 0.5);
         }

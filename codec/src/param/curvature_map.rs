@@ -140,11 +140,45 @@ impl CommonDisk {
     /// # Errors
     /// [`CodecError::Mesh`] when the map has not one value a vertex.
     pub fn reconstruct(&self, map: &CurvatureMap, form: CurvatureForm) -> Result<Reconstruction> {
+        let mut values = self.border_values(map)?;
+        self.system.solve(&mut values, &vec![[0.0; 3]; self.points.len()]);
+        self.iterate(map, form, values)
+    }
+
+    /// As [`Self::reconstruct`], started from a surface near by, of which only the border is replaced.
+    ///
+    /// # Errors
+    /// [`CodecError::Mesh`] when the map or the start has not one value a vertex.
+    pub fn reconstruct_from(
+        &self,
+        map: &CurvatureMap,
+        form: CurvatureForm,
+        start_mm: &[Vec3],
+    ) -> Result<Reconstruction> {
+        self.check(start_mm.len())?;
+        let border = self.border_values(map)?;
+        let mut values: Vec<[f64; 3]> = start_mm.iter().map(|p| p.as_dvec3().to_array()).collect();
+        for &b in &self.border {
+            values[b as usize] = border[b as usize];
+        }
+        self.iterate(map, form, values)
+    }
+
+    /// Positions of the border, zeros elsewhere.
+    fn border_values(&self, map: &CurvatureMap) -> Result<Vec<[f64; 3]>> {
         self.check(map.curvature_per_mm.len())?;
         self.check(map.factor_mm.len())?;
         if map.border_mm.len() != self.border.len() {
             return Err(CodecError::Mesh(format!("{} of {} border vertices", map.border_mm.len(), self.border.len())));
         }
+        let mut values = vec![[0.0; 3]; self.points.len()];
+        for (&b, p) in self.border.iter().zip(&map.border_mm) {
+            values[b as usize] = p.to_array();
+        }
+        Ok(values)
+    }
+
+    fn iterate(&self, map: &CurvatureMap, form: CurvatureForm, mut values: Vec<[f64; 3]>) -> Result<Reconstruction> {
         let strength: Vec<DVec3> = (map.curvature_per_mm.iter().zip(&map.factor_mm).enumerate())
             .map(|(v, (c, lambda))| {
                 let kept = if form == CurvatureForm::Published { DVec3::Z * c.z } else { *c };
@@ -152,11 +186,6 @@ impl CommonDisk {
             })
             .collect();
         let n = self.points.len();
-        let mut values = vec![[0.0; 3]; n];
-        for (&b, p) in self.border.iter().zip(&map.border_mm) {
-            values[b as usize] = p.to_array();
-        }
-        self.system.solve(&mut values, &vec![[0.0; 3]; n]);
         let mut at: Vec<DVec3> = values.iter().map(|x| DVec3::from(*x)).collect();
         let mut frames = self.frames(&at);
         let (mut steps, mut settled) = (0, false);
@@ -236,6 +265,7 @@ fn orthonormal(along: DVec3, normal: DVec3) -> DMat3 {
 mod tests {
     use super::*;
     use crate::mesh::test_surfaces::polar_disk;
+    use crate::param::disk::disk_map;
 
     /// A cap of a sphere of radius `r` by inverse stereographic projection of |z| <= 1 scaled by `reach`: conformal, with
     /// H = 1/r and lambda = 2 r reach / (1 + reach^2 |z|^2).
@@ -290,8 +320,9 @@ mod tests {
     #[test]
     fn the_full_vector_brings_a_smooth_face_back_where_the_published_form_misses() {
         let (points, triangles) = polar_disk(40);
-        let disk = CommonDisk::new(&points, &triangles).unwrap();
         let face = relief(&points);
+        let mesh = TriMesh { positions_mm: face.clone(), triangles, uv: None };
+        let disk = CommonDisk::new(&disk_map(&mesh).unwrap().points, &mesh.triangles).unwrap();
         let map = disk.analyse(&face).unwrap();
         let error = |form| {
             let found = disk.reconstruct(&map, form).unwrap();

@@ -8,12 +8,14 @@ pub mod curvature_homotopy;
 pub mod curvature_map;
 pub mod dirichlet;
 pub mod disk;
+pub mod geodesic;
 pub mod grid_plate;
 pub mod locate;
 mod log;
 pub mod match_energies;
 pub mod matching;
 pub mod mobius;
+pub mod partition;
 pub mod thin_plate;
 
 pub use conformal_factor::conformal_factors;
