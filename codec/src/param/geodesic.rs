@@ -237,7 +237,16 @@ impl<'a> GeodesicSurface<'a> {
             changed = true;
             untouched = first;
         }
-        changed.then_some(out)
+        // Neighbours led round together meet on the edge between them: over it and straight back is no way.
+        let mut kept: Vec<u32> = Vec::with_capacity(out.len());
+        for h in out {
+            if kept.last().is_some_and(|&k| self.edges.twin[k as usize] == h) {
+                kept.pop();
+            } else {
+                kept.push(h);
+            }
+        }
+        changed.then_some(kept)
     }
 
     /// Half-edges crossed on the way round an inner vertex from one of its triangles to another.
