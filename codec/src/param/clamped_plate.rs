@@ -1,7 +1,7 @@
 //! Clamped-plate warp of the unit disk: interpolates landmarks and leaves the circle where it is. For surfaces whose
 //! border is a material line.
 
-use super::log::ln;
+use super::log::ln_ratio;
 use crate::{CodecError, Result};
 use faer::prelude::*;
 use glam::DVec2;
@@ -67,7 +67,7 @@ impl ClampedPlate {
 /// G from |z-w|^2 and (1-|z|^2)(1-|w|^2), whose sum is |1 - z conj(w)|^2. Zero on the circle, where the second is.
 #[inline]
 fn kernel(distance2: f64, room: f64) -> f64 {
-    distance2 * ln((distance2 / (distance2 + room).max(LEAST)).max(LEAST)) + room
+    distance2 * ln_ratio(distance2.max(LEAST), (distance2 + room).max(LEAST)) + room
 }
 
 #[cfg(test)]
