@@ -18,6 +18,7 @@ mod vertex_area;
 pub use bvh::{Bvh, Nearest, RayHit};
 pub use curvature::{angle_defects, gaussian_curvature, mean_curvature};
 pub use half_edge::HalfEdges;
+pub(crate) use laplacian::cotangents;
 pub use laplacian::{cotangent_laplacian, intrinsic_laplacian};
 pub use normals::sphere_normals;
 pub use tri_mesh::TriMesh;

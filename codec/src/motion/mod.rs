@@ -17,6 +17,7 @@ mod pyramid;
 pub mod spline;
 #[cfg(test)]
 mod test_texture;
+pub mod tick_weights;
 mod track;
 
 pub use consistency::consistent;

@@ -95,21 +95,29 @@ impl Mobius {
     /// The automorphism that carries the points `from` to `to` with the least squared distance,
     /// by Levenberg-Marquardt on (a, Re b, Im b) started from the best rotation.
     pub fn fit(from: &[DVec2], to: &[DVec2]) -> Self {
+        Self::fit_counting(from, to).0
+    }
+
+    /// The fit and how often it evaluated the transformation.
+    fn fit_counting(from: &[DVec2], to: &[DVec2]) -> (Self, usize) {
         let turn: DVec2 = from.iter().zip(to).map(|(&p, &q)| mul(q, conj(p))).sum();
         if turn.length_squared() < 1e-24 {
-            return Self::IDENTITY;
+            return (Self::IDENTITY, 0);
         }
         let mut best = Self { rotation: turn.normalize(), centre: DVec2::ZERO };
         let mut best_cost = best.cost(from, to);
         let mut damping = 1e-3;
+        let mut evaluations = 1;
         for _ in 0..50 {
+            evaluations += 1;
             let step = best.normal_step(from, to, damping);
             let next = best.moved(step);
             let cost = next.cost(from, to);
             if cost.is_finite() && cost < best_cost {
                 let gain = best_cost - cost;
                 (best, best_cost, damping) = (next, cost, damping * 0.2);
-                if gain <= 1e-14 * best_cost {
+                // Relative to the squared distances that landmarks have at most, and to those that remain.
+                if gain <= 1e-12 * best_cost + 1e-28 * from.len() as f64 {
                     break;
                 }
             } else if damping > 1e8 {
@@ -118,7 +126,7 @@ impl Mobius {
                 damping *= 8.0;
             }
         }
-        best
+        (best, evaluations)
     }
 
     fn cost(&self, from: &[DVec2], to: &[DVec2]) -> f64 {
@@ -225,6 +233,19 @@ mod tests {
             let found = Mobius::fit(&from, &to);
             prop_assert!(from.iter().zip(&to).all(|(&z, &w)| (found.apply(z) - w).length() < 1e-6));
         }
+    }
+
+    #[test]
+    fn few_evaluations_suffice() {
+        let m = Mobius { rotation: DVec2::from_angle(0.4), centre: DVec2::new(0.3, -0.2) };
+        let from: Vec<DVec2> =
+            (0..68).map(|k| DVec2::from_angle(f64::from(k) * 2.4) * (f64::from(k) / 70.0).sqrt()).collect();
+        let noise = |k: usize| DVec2::from_angle(k as f64 * 1.9) * 0.02;
+        let to: Vec<DVec2> = from.iter().enumerate().map(|(k, &z)| m.apply(z) + noise(k)).collect();
+        let (found, evaluations) = Mobius::fit_counting(&from, &to);
+        println!("{evaluations} evaluations");
+        assert!(evaluations <= 12, "{evaluations}");
+        assert!(found.centre.distance(m.centre) < 0.01);
     }
 
     #[test]
