@@ -77,6 +77,13 @@ fn bench(c: &mut Criterion) {
     group.bench_function("simplify to 20,000", |b| {
         b.iter(|| simplify(black_box(&disk), 20_000, &SimplifyOptions::default()));
     });
+    group.bench_function("keyframe: to_disk, simplify to 20,000, disk map", |b| {
+        b.iter(|| {
+            let (disk, _) = to_disk(black_box(&holed.mesh), &RepairOptions::default())?;
+            let (small, _) = simplify(&disk, 20_000, &SimplifyOptions::default())?;
+            disk_map(&small)
+        });
+    });
     group.bench_function("disk map of 20,000", |b| b.iter(|| disk_map(black_box(&replay.mesh))));
     group.bench_function("disk map of 60,000", |b| b.iter(|| disk_map(black_box(&half))));
     group.bench_function("disk map of all", |b| b.iter(|| disk_map(black_box(&disk))));

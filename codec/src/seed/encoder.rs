@@ -136,7 +136,7 @@ impl Encoder {
     /// Cleaned to a disk, then decimated where flat.
     fn prepare(&self, mesh: &TriMesh) -> Result<(TriMesh, RepairReport)> {
         let (disk, report) = to_disk(mesh, &self.config.repair)?;
-        let target = (mesh.vertex_count() / self.config.vertex_ratio as usize).max(4);
+        let target = (mesh.vertex_count() / self.config.vertex_ratio as usize).clamp(4, surface::MAX_VERTICES as usize);
         let (small, _) = simplify(&disk, target, &SimplifyOptions::default())?;
         Ok((small, report))
     }
