@@ -1,6 +1,8 @@
 //! Structured light: patterns out, pictures in, surface out. Knows no device and no clock.
 
 pub mod absolute;
+pub mod board;
+pub mod calibrate;
 pub mod calibration;
 mod calibration_json;
 pub mod dither;
