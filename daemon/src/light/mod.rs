@@ -1,9 +1,14 @@
 //! Structured light: patterns out, pictures in, surface out. Knows no device and no clock.
 
 pub mod absolute;
+pub mod board;
 pub mod calibration;
 mod calibration_json;
+pub mod chessboard;
+mod chessboard_corners;
+mod chessboard_grid;
 pub mod dither;
+mod field;
 pub mod gray_code;
 pub mod grid_mesh;
 pub mod intersect;
@@ -18,7 +23,9 @@ pub mod unwrap;
 use serde::{Deserialize, Serialize};
 
 pub use absolute::AbsoluteDecoder;
+pub use board::{Board, BoardView};
 pub use calibration::{Calibration, Distortion, Intrinsics, Rigid};
+pub use chessboard::{ChessboardError, find_chessboard};
 pub use gray_code::{GrayCodes, GrayDecoder};
 pub use grid_mesh::{GridMesher, MeshLimits};
 pub use intersect::{ProjectorCoordinates, intersect};
