@@ -69,6 +69,28 @@ impl AbsoluteDecoder {
         limits: MaskLimits,
         depth: DepthRange,
     ) -> Result<Option<Self>, LightError> {
+        Self::build(sequence, direction, limits, Some((calibration, depth)))
+    }
+
+    /// The decoder for a rig that is not calibrated yet: the patterns alone, a Gray code or a fringe or beat that covers the
+    /// projector, must tell every coordinate.
+    ///
+    /// # Errors
+    /// [`LightError::Field`] naming the pattern that cannot work, or that the patterns cover too little.
+    pub fn uncalibrated(
+        sequence: &PatternSequence,
+        direction: Direction,
+        limits: MaskLimits,
+    ) -> Result<Option<Self>, LightError> {
+        Self::build(sequence, direction, limits, None)
+    }
+
+    fn build(
+        sequence: &PatternSequence,
+        direction: Direction,
+        limits: MaskLimits,
+        range: Option<(&Calibration, DepthRange)>,
+    ) -> Result<Option<Self>, LightError> {
         sequence.validate()?;
         let gray = GrayDecoder::new(sequence, direction)?;
         let mut bursts = sequence.bursts();
@@ -95,7 +117,7 @@ impl AbsoluteDecoder {
                     return Err(LightError::field("sequence.patterns", reason));
                 }
             }
-            None => decoder.begin(calibration, direction, length_px, depth)?,
+            None => decoder.begin(range, direction, length_px)?,
         }
         Ok(Some(decoder))
     }
@@ -103,10 +125,9 @@ impl AbsoluteDecoder {
     /// Finds what the chain begins with when there is no Gray code.
     fn begin(
         &mut self,
-        calibration: &Calibration,
+        range: Option<(&Calibration, DepthRange)>,
         direction: Direction,
         length_px: u32,
-        depth: DepthRange,
     ) -> Result<(), LightError> {
         let length = f64::from(length_px);
         if let Some(first) = self.chain.iter().rposition(|s| s.period_px >= length) {
@@ -114,6 +135,14 @@ impl AbsoluteDecoder {
             self.middle_px = vec![0.5 * (length_px as f32 - 1.0)];
             return Ok(());
         }
+        let period_px = self.chain.first().map_or(0.0, |s| s.period_px);
+        let Some((calibration, depth)) = range else {
+            let reason = format!(
+                "the longest period or beat, {period_px:.1} px, does not cover the projector's {length_px} px, and without \
+                 calibration nothing else orders fringes; add a coarser pattern or a Gray code"
+            );
+            return Err(LightError::field("sequence.patterns", reason));
+        };
         let along = |ray: glam::DVec2, z_mm: f64| {
             let px = calibration.projector_px((ray * z_mm).extend(z_mm));
             if direction == Direction::Columns { px.x } else { px.y }
@@ -124,7 +153,6 @@ impl AbsoluteDecoder {
             widest_px = widest_px.max((a - b).abs());
             self.middle_px.push((0.5 * (a + b)) as f32);
         }
-        let period_px = self.chain.first().map_or(0.0, |s| s.period_px);
         // As the live unwrapping: a tenth of a period spare. A range given wrong can also make the width no number.
         if widest_px.is_nan() || widest_px > 0.9 * period_px {
             let reason = format!(

@@ -1,5 +1,6 @@
 //! What stands before the scanner: the talking head, or a solid of known form that only the configured velocity moves.
 
+use super::board::BoardScene;
 use super::face::{COLUMNS, Face};
 use super::motion::Posture;
 use super::skin::Skin;
@@ -42,6 +43,8 @@ pub enum SceneConfig {
     /// A mesh in a file, millimetres, moved so that the middle of its bounds is at 600 mm. A relative path starts at the rig's
     /// file.
     Obj(PathBuf),
+    /// A calibration board.
+    Board(BoardScene),
 }
 
 /// A scene with what is known of each of its vertices.
@@ -54,6 +57,8 @@ pub enum Scene {
         mesh: TriMesh,
         /// Normals of its vertices.
         normals: Vec<Vec3>,
+        /// What is printed on it, and the places of its vertices on the print.
+        print: Option<(BoardScene, Vec<Vec3>)>,
     },
 }
 
@@ -71,8 +76,13 @@ impl Scene {
                 joined([plate(-HALF_SIZE_MM[0], 0.0, 0.0, 0.0), plate(0.0, HALF_SIZE_MM[0], 0.0, STEP_MM)])
             }
             SceneConfig::Obj(path) => obj(path)?,
+            SceneConfig::Board(board) => {
+                board.validate()?;
+                let (mesh, places_mm) = board.mesh();
+                return Ok(Self::Solid { normals: mesh.vertex_normals(), mesh, print: Some((*board, places_mm)) });
+            }
         };
-        Ok(Self::Solid { normals: mesh.vertex_normals(), mesh })
+        Ok(Self::Solid { normals: mesh.vertex_normals(), mesh, print: None })
     }
 
     /// Positions in the scan frame at a posture, mm; a solid takes only the shift.
@@ -90,6 +100,7 @@ impl Scene {
     pub fn rest_mm(&self) -> &[Vec3] {
         match self {
             Self::Head(face) => &face.rest_mm,
+            Self::Solid { print: Some((_, places_mm)), .. } => places_mm,
             Self::Solid { mesh, .. } => &mesh.positions_mm,
         }
     }
@@ -122,11 +133,12 @@ impl Scene {
         }
     }
 
-    /// The albedo: skin on the head, an even grey on solids.
+    /// The albedo: skin on the head, its print on a board, an even grey on solids.
     pub fn skin(&self, config: &SimConfig) -> Skin {
         let regions: &[Region] = &config.regions;
         match self {
             Self::Head(_) => Skin::new(config.seed, regions),
+            Self::Solid { print: Some((board, _)), .. } => Skin::printed(regions, |x, y| board.albedo(x, y)),
             Self::Solid { .. } => Skin::even(regions),
         }
     }

@@ -1,0 +1,226 @@
+//! From corners to grids of corners.
+//!
+//! Every corner looks along its four edges for the next one: the nearest whose own edge looks back, with light and dark on
+//! the sides that both expect all along the line between. Two corners that choose each other are linked, and linked
+//! corners take whole-numbered places in a grid. All tests are between neighbours, so perspective and lens
+//! distortion bend the grid as they like (growth from neighbours as in A. Geiger, F. Moosmann, Ö. Car, B. Schuster,
+//! "Automatic camera and range sensor calibration using a single shot", ICRA 2012).
+
+use super::chessboard_corners::{Corner, CornerFinder};
+use super::field::Field;
+use glam::DVec2;
+use std::collections::{BTreeMap, VecDeque};
+use std::f64::consts::{PI, TAU};
+
+/// Largest angle between an edge at a corner and the line to the next corner, radians.
+const MAX_TURN_RAD: f64 = 0.3;
+/// Largest ratio of the contrasts of neighbours.
+const MAX_CONTRAST_RATIO: f32 = 3.0;
+/// Least contrast across the line between two corners, of the weaker corner's.
+const MIN_EDGE_CONTRAST: f32 = 0.3;
+/// Largest deviation of a corner from the middle of its two neighbours, of their distance: perspective and lens.
+const MAX_UNEVENNESS: f64 = 0.15;
+
+/// Corners by their places: column and row, ascending to the right and down after a turn of the picture.
+#[derive(Debug, Clone, Default)]
+pub(super) struct CornerGrid {
+    /// Picture places of the corners, pixels.
+    pub cells: BTreeMap<[i32; 2], DVec2>,
+    /// Whether two corners claimed one place, or one corner two.
+    pub is_torn: bool,
+}
+
+/// The corner that edge `k` of a corner leads to, and which of its edges leads back.
+type Links = [Option<(usize, usize)>; 4];
+
+impl CornerGrid {
+    /// All grids of two or more linked corners, the largest first.
+    pub fn find(corners: &[Corner], levels: &Field) -> Vec<Self> {
+        let links = mutual(&(0..corners.len()).map(|i| links_of(corners, i, levels)).collect::<Vec<_>>());
+        let mut is_taken = vec![false; corners.len()];
+        let mut grids = Vec::new();
+        for seed in 0..corners.len() {
+            if !is_taken[seed] && links[seed].iter().any(Option::is_some) {
+                grids.push(grow(corners, &links, seed, &mut is_taken));
+            }
+        }
+        grids.sort_by_key(|g| std::cmp::Reverse(g.cells.len()));
+        grids
+    }
+
+    /// Least and largest column and row.
+    fn bounds(&self) -> ([i32; 2], [i32; 2]) {
+        let start = ([i32::MAX; 2], [i32::MIN; 2]);
+        self.cells.keys().fold(start, |(low, high), cell| {
+            ([0, 1].map(|d: usize| low[d].min(cell[d])), [0, 1].map(|d: usize| high[d].max(cell[d])))
+        })
+    }
+
+    /// Columns and rows.
+    pub fn size(&self) -> [u32; 2] {
+        let (low, high) = self.bounds();
+        [0, 1].map(|d: usize| (high[d] - low[d] + 1) as u32)
+    }
+
+    /// Whether every place within the bounds holds a corner and neighbours are evenly spaced.
+    pub fn is_whole(&self) -> bool {
+        let [columns, rows] = self.size();
+        !self.is_torn
+            && self.cells.len() == columns as usize * rows as usize
+            && self.cells.iter().all(|(cell, px)| self.is_even(*cell, *px))
+    }
+
+    fn is_even(&self, cell: [i32; 2], px: DVec2) -> bool {
+        [[1, 0], [0, 1]].iter().all(|step| match (self.at(cell, *step, -1), self.at(cell, *step, 1)) {
+            (Some(a), Some(b)) => (0.5 * (a + b)).distance(px) <= MAX_UNEVENNESS * a.distance(b),
+            _ => true,
+        })
+    }
+
+    fn at(&self, cell: [i32; 2], step: [i32; 2], count: i32) -> Option<DVec2> {
+        self.cells.get(&[cell[0] + count * step[0], cell[1] + count * step[1]]).copied()
+    }
+
+    /// Distance to the nearest neighbour in the grid, pixels.
+    pub fn spacing_px(&self, cell: [i32; 2]) -> f64 {
+        let neighbours = [[1, 0], [-1, 0], [0, 1], [0, -1]];
+        let distances = neighbours.iter().filter_map(|s| Some(self.at(cell, *s, 1)?.distance(self.cells[&cell])));
+        distances.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Looks for corners at the places inside and next to the grid that have none: noise or a scratch hides some.
+    pub fn fill(&mut self, finder: &CornerFinder) {
+        /// Rounds without bound would let the grid creep over a patterned wall.
+        const MAX_ROUNDS: usize = 8;
+        for _ in 0..MAX_ROUNDS {
+            let (low, high) = self.bounds();
+            let mut found = Vec::new();
+            for row in low[1] - 1..=high[1] + 1 {
+                for column in low[0] - 1..=high[0] + 1 {
+                    let cell = [column, row];
+                    if !self.cells.contains_key(&cell) {
+                        found.extend(self.look_at(cell, finder).map(|px| (cell, px)));
+                    }
+                }
+            }
+            if found.is_empty() {
+                return;
+            }
+            self.cells.extend(found);
+        }
+    }
+
+    /// The corner at an empty place, where its neighbours expect it.
+    fn look_at(&self, cell: [i32; 2], finder: &CornerFinder) -> Option<DVec2> {
+        let mut guesses = Vec::new();
+        let mut spacing_px = f64::INFINITY;
+        for step in [[1, 0], [-1, 0], [0, 1], [0, -1]] {
+            if let (Some(a), Some(b)) = (self.at(cell, step, 1), self.at(cell, step, 2)) {
+                guesses.push(2.0 * a - b);
+                spacing_px = spacing_px.min(a.distance(b));
+            }
+        }
+        if guesses.len() < 2 {
+            return None;
+        }
+        let expected = guesses.iter().sum::<DVec2>() / guesses.len() as f64;
+        let px = finder.refine(expected, (0.4 * spacing_px).max(3.0))?;
+        finder.corner_at(px)?;
+        (px.distance(expected) < 2.0 * MAX_UNEVENNESS * spacing_px).then_some(px)
+    }
+}
+
+/// For every edge of corner `i` the nearest corner that it can lead to.
+fn links_of(corners: &[Corner], i: usize, levels: &Field) -> Links {
+    let from = &corners[i];
+    let mut order: Vec<(f64, usize, usize)> = Vec::new();
+    for (j, to) in corners.iter().enumerate() {
+        let line = to.px - from.px;
+        if j == i {
+            continue;
+        }
+        if let Some(k) = edge_along(from, line) {
+            order.push((line.length_squared(), j, k));
+        }
+    }
+    order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut links = [None; 4];
+    for (_, j, k) in order {
+        if links[k].is_some() {
+            continue;
+        }
+        let to = &corners[j];
+        let ratio = to.contrast / from.contrast;
+        let Some(back) = edge_along(to, from.px - to.px) else { continue };
+        // Seen from the other end, light is on the other side.
+        if from.is_light_after(k) != to.is_light_after(back)
+            && (1.0 / MAX_CONTRAST_RATIO..=MAX_CONTRAST_RATIO).contains(&ratio)
+            && is_edge(from, to, from.is_light_after(k), levels)
+        {
+            links[k] = Some((j, back));
+        }
+    }
+    links
+}
+
+/// Which edge of a corner runs along a direction.
+fn edge_along(corner: &Corner, direction: DVec2) -> Option<usize> {
+    let angle = libm::atan2(direction.y, direction.x);
+    let turn = |edge: f64| ((angle - edge + PI).rem_euclid(TAU) - PI).abs();
+    (0..4).find(|&k| turn(corner.edges_rad[k]) < MAX_TURN_RAD)
+}
+
+/// Whether light and dark are on their sides all along the line between two corners.
+fn is_edge(from: &Corner, to: &Corner, is_light_after: bool, levels: &Field) -> bool {
+    /// Distance of the samples from the line, of its length and at least, pixels: inside foreshortened squares too.
+    const OFFSET: f64 = 0.2;
+    const MIN_OFFSET_PX: f64 = 1.5;
+    let line = to.px - from.px;
+    let length = line.length();
+    let side = line.perp() / length * (OFFSET * length).max(MIN_OFFSET_PX);
+    let least = MIN_EDGE_CONTRAST * from.contrast.min(to.contrast);
+    let sign = if is_light_after { 1.0 } else { -1.0 };
+    [0.3, 0.5, 0.7].iter().all(|&t| {
+        let middle = from.px + t * line;
+        let difference = levels.sample((middle + side).to_array()) - levels.sample((middle - side).to_array());
+        sign * difference >= least
+    })
+}
+
+/// Only the links that both ends have.
+fn mutual(links: &[Links]) -> Vec<Links> {
+    let both = |i: usize, k: usize| links[i][k].filter(|&(j, back)| links[j][back] == Some((i, k)));
+    (0..links.len()).map(|i| std::array::from_fn(|k| both(i, k))).collect()
+}
+
+/// Gives places to all corners linked with `seed`, at the origin.
+fn grow(corners: &[Corner], links: &[Links], seed: usize, is_taken: &mut [bool]) -> CornerGrid {
+    /// Steps of the four edges in ascending direction: x right, y down.
+    const STEPS: [[i32; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
+    let mut grid = CornerGrid::default();
+    // Place and the turn from a corner's own edges to those of the seed.
+    let mut placed: BTreeMap<usize, ([i32; 2], usize)> = BTreeMap::from([(seed, ([0, 0], 0))]);
+    grid.cells.insert([0, 0], corners[seed].px);
+    is_taken[seed] = true;
+    let mut queue = VecDeque::from([seed]);
+    while let Some(i) = queue.pop_front() {
+        let (cell, turn) = placed[&i];
+        for (k, link) in links[i].iter().enumerate() {
+            let Some((j, back)) = *link else { continue };
+            let direction = (k + turn) % 4;
+            let next = [0, 1].map(|d: usize| cell[d] + STEPS[direction][d]);
+            // The edge that leads back has the opposite direction.
+            let next_turn = (direction + 6 - back) % 4;
+            match placed.get(&j) {
+                Some(known) => grid.is_torn |= *known != (next, next_turn),
+                None => {
+                    placed.insert(j, (next, next_turn));
+                    is_taken[j] = true;
+                    grid.is_torn |= grid.cells.insert(next, corners[j].px).is_some();
+                    queue.push_back(j);
+                }
+            }
+        }
+    }
+    grid
+}
