@@ -102,7 +102,6 @@ pub fn read_board_view(folder: &Path, raw: &RawFolder, board: &Board) -> Result<
     let first = raw.names()?.first().map_or_else(|| folder.into(), |name| folder.join(name));
     let size = read_picture(&first)?;
     let pictures = raw.load(folder, [size.width_px, size.height_px])?;
-    let light = |source: LightError| BoardViewError::Light { view: folder.into(), source };
     let white = raw.sequence.patterns.iter().position(|p| p.kind == PatternKind::White);
     let (searched, picture) = match white {
         Some(white) => (folder.join(&raw.names()?[white]), pictures[white].clone()),
@@ -110,18 +109,41 @@ pub fn read_board_view(folder: &Path, raw: &RawFolder, board: &Board) -> Result<
     };
     let camera_px =
         find_chessboard(&picture, board).map_err(|source| BoardViewError::Board { picture: searched, source })?;
+    let name = folder.file_name().map_or_else(|| folder.into(), PathBuf::from).to_string_lossy().into_owned();
+    let board_mm = (0..camera_px.len()).map(|i| board.corner_mm(i)).collect();
+    let view = BoardView { name, board_mm, camera_px, projector_px: Vec::new() };
+    decoded(folder, raw, &pictures, view)
+}
+
+/// The view with the projector pixels of its corners, which are known, from the pictures of a folder.
+///
+/// # Errors
+/// [`BoardViewError`]: pictures that cannot be read, patterns that do not code columns and rows by themselves, no corner whose
+/// patterns can be read.
+pub fn decode_board_view(folder: &Path, raw: &RawFolder, view: BoardView) -> Result<BoardView, BoardViewError> {
+    let first = raw.names()?.first().map_or_else(|| folder.into(), |name| folder.join(name));
+    let size = read_picture(&first)?;
+    let pictures = raw.load(folder, [size.width_px, size.height_px])?;
+    decoded(folder, raw, &pictures, view)
+}
+
+fn decoded(
+    folder: &Path,
+    raw: &RawFolder,
+    pictures: &[GreyPicture],
+    view: BoardView,
+) -> Result<BoardView, BoardViewError> {
+    let light = |source: LightError| BoardViewError::Light { view: folder.into(), source };
     let (columns, rows, mask) =
-        projector_coordinates(&pictures, &raw.sequence, &raw.limits.unwrap_or_default()).map_err(light)?;
-    let (projector_px, unread) = projector_corners(&camera_px, &columns, &rows, &mask);
-    if unread.total() == camera_px.len() {
-        return Err(BoardViewError::Unread { view: folder.into(), corners: camera_px.len(), unread });
+        projector_coordinates(pictures, &raw.sequence, &raw.limits.unwrap_or_default()).map_err(light)?;
+    let (projector_px, unread) = projector_corners(&view.camera_px, &columns, &rows, &mask);
+    if unread.total() == view.camera_px.len() {
+        return Err(BoardViewError::Unread { view: folder.into(), corners: view.camera_px.len(), unread });
     }
     if unread.total() > 0 {
         tracing::info!("{}: {} corners without projector pixel: {unread}", folder.display(), unread.total());
     }
-    let name = folder.file_name().map_or_else(|| folder.into(), PathBuf::from).to_string_lossy().into_owned();
-    let board_mm = (0..camera_px.len()).map(|i| board.corner_mm(i)).collect();
-    Ok(BoardView { name, board_mm, camera_px, projector_px })
+    Ok(BoardView { projector_px, ..view })
 }
 
 /// Projector columns and rows of the pixels that both codes can be read at.

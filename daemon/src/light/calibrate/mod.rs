@@ -13,7 +13,6 @@
 //! corner found beside its place is decoded beside it too, so the errors of the two devices are not independent.
 
 mod bundle;
-mod homography;
 mod lens;
 mod minimize;
 mod noise;
@@ -21,11 +20,10 @@ mod refusal;
 mod report;
 mod zhang;
 
-use super::board::BoardView;
-use super::{Calibration, Distortion, Intrinsics, Rigid};
+use super::homography::fit_homography;
+use super::{BoardView, Calibration, Distortion, Intrinsics, Rigid};
 use bundle::{Bundle, Corner, SHARED, View};
 use glam::{DMat3, DQuat, DVec2, DVec3};
-use homography::homography;
 use lens::LENS_PARAMETERS;
 use minimize::{COARSE, EXACT, minimize};
 use zhang::Pose;
@@ -181,7 +179,7 @@ fn fit_lens(
     let mut homographies = Vec::with_capacity(views.len());
     for (view, corners) in views.iter().zip(corners) {
         let (board, px): (Vec<_>, Vec<_>) = corners.iter().map(|c| (c.board_mm, c.camera_px)).unzip();
-        let found = homography(&board, &px).filter(|h| h.determinant().abs() > 0.0);
+        let found = fit_homography(&board, &px).filter(|h| h.determinant().abs() > 0.0);
         homographies.push(found.ok_or_else(|| CalibrateError::NoPlane { device, view: view.name.clone() })?);
     }
     refusal::check_tilt(device, &homographies, size_px)?;

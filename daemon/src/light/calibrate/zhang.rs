@@ -1,7 +1,6 @@
 //! Closed-form intrinsics and poses from homographies of a plane: Z. Zhang, "A flexible new technique for camera
 //! calibration", PAMI 22(11), 2000, sections 3.1 and 3.2, with the constraint of zero skew.
 
-use super::homography::null_vector;
 use faer::Mat;
 use glam::{DMat3, DVec2, DVec3};
 
@@ -57,10 +56,20 @@ fn conic(homographies: &[DMat3], principal_point: bool) -> Option<[f64; 5]> {
             v[(2 * i + 1, to)] = v11[from] - v22[from];
         }
     }
-    let found = null_vector(&v, 0.0)?;
+    let found = null_vector(&v)?;
     let mut b = [0.0; 5];
     columns.iter().zip(&found).for_each(|(&to, &value)| b[to] = value);
     Some(b)
+}
+
+/// Unit vector x of least |a x|; `None` for fewer equations than that takes.
+fn null_vector(a: &Mat<f64>) -> Option<Vec<f64>> {
+    let (rows, columns) = (a.nrows(), a.ncols());
+    if rows + 1 < columns || !(0..columns).all(|c| (0..rows).all(|r| a[(r, c)].is_finite())) {
+        return None;
+    }
+    let svd = a.svd().ok()?;
+    Some((0..columns).map(|i| svd.V()[(i, columns - 1)]).collect())
 }
 
 /// Zhang's v_ij (eq. 7) without its entry for the skew.
@@ -113,7 +122,7 @@ pub(super) fn largest_tilt_rad(homographies: &[DMat3], size_px: [u32; 2]) -> f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::calibrate::homography::homography;
+    use crate::light::homography::fit_homography;
 
     fn lens() -> DMat3 {
         DMat3::from_cols(DVec3::new(1150.0, 0.0, 0.0), DVec3::new(0.0, 1140.0, 0.0), DVec3::new(310.0, 250.0, 1.0))
@@ -125,7 +134,7 @@ mod tests {
             let q = lens() * pose.apply(p.extend(0.0));
             q.truncate() / q.z
         };
-        homography(&from, &from.iter().map(project).collect::<Vec<_>>()).unwrap()
+        fit_homography(&from, &from.iter().map(project).collect::<Vec<_>>()).unwrap()
     }
 
     fn tilted(x: f64, y: f64) -> Pose {
