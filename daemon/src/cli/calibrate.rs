@@ -3,9 +3,9 @@
 use super::Outcome;
 use super::progress::bar;
 use crate::device::RigConfig;
+use crate::files::RawFolder;
 use crate::files::board_corners::read_board_corners;
 use crate::files::picture::read_picture;
-use crate::files::RawFolder;
 use crate::light::calibrate::{
     CalibrateError, CalibrateOptions, Calibrated, CalibrationReport, DistortionTerms, calibrate,
 };
@@ -32,7 +32,7 @@ const MAX_VIEWS: usize = 1000;
 /// `gv3 patterns` writes it. A result that no one should measure with is refused, with the reason, and nothing is saved.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  gv3 calibrate boards --board 9x6 --square-mm 20 -o rig.toml --residuals rig.svg\n  gv3 calibrate boards --board 9x6 --square-mm 12 -o rig.toml --simulate 15   # no hardware: simulated pictures, in boards"
+    after_help = "Examples:\n  gv3 calibrate boards --board 9x6 --square-mm 20 -o rig.toml --residuals rig.svg\n  gv3 calibrate boards --board 9x6 --square-mm 14 -o rig.toml --simulate 15   # no hardware: simulated pictures, in boards"
 )]
 pub struct Calibrate {
     /// Folder with a folder of pictures for every view.
@@ -164,7 +164,7 @@ impl Calibrate {
             max_rms_px: self.max_rms_px,
         };
         let calibrated =
-            calibrate(&views, camera_size_px, projector_size_px, &options).map_err(|e| refused(e, &views, &left_out))?;
+            calibrate(&views, camera_size_px, projector_size_px, &options).map_err(|e| refused(e, &left_out))?;
         if let Some(path) = &self.residuals {
             let svg = residual_picture(&calibrated.residuals, camera_size_px, projector_size_px);
             self.write(path, &svg.map_err(|e| anyhow!(e))?)?;
@@ -210,7 +210,8 @@ impl Calibrate {
         let bar = bar(folders.len() as u64, "read views");
         for folder in &folders {
             bar.inc(1);
-            let given = known.as_mut().map(|views| views.iter().position(|v| v.name == name(folder)).map(|i| views.remove(i)));
+            let given =
+                known.as_mut().map(|views| views.iter().position(|v| v.name == name(folder)).map(|i| views.remove(i)));
             // Folders that the file of corners does not name are no views.
             if given == Some(None) {
                 continue;
@@ -274,16 +275,124 @@ fn camera_size_px(folder: &Path, raw: &RawFolder) -> Result<[u32; 2]> {
     Ok([picture.width_px, picture.height_px])
 }
 
-/// The refusal, with the view's name and the views that could not be read.
-fn refused(error: CalibrateError, views: &[BoardView], left_out: &[LeftOut]) -> anyhow::Error {
-    let mut text = match &error {
-        CalibrateError::ViewOutliers { view, .. } => {
-            views.get(*view).map_or_else(|| error.to_string(), |v| format!("{}: {error}", v.name))
-        }
-        _ => error.to_string(),
-    };
+/// The refusal, with the views that could not be read.
+fn refused(error: CalibrateError, left_out: &[LeftOut]) -> anyhow::Error {
+    let mut text = format!("nothing is saved: {error}");
     for LeftOut { view, reason } in left_out {
         text.push_str(&format!("\n  left out: {view}: {reason}"));
     }
-    anyhow!("nothing is saved: {text}")
+    anyhow!(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::triangulate::scan_from_camera;
+    use crate::light::{Calibration, DepthRange, LightError, PixelMask, PointGrid, Triangulator};
+    use clap::Parser;
+    use glam::{DVec3, Vec3};
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        calibrate: Calibrate,
+    }
+
+    fn run(folder: &Path, more: &[&str]) -> Result<Outcome> {
+        let fixed = ["gv3", folder.to_str().unwrap(), "--board", "9x6", "--square-mm", "14"];
+        Line::try_parse_from(fixed.into_iter().chain(more.iter().copied())).unwrap().calibrate.run()
+    }
+
+    /// What a rig makes of the true columns of a tilted plane through the middle of the working range: the points, beside
+    /// the true ones, mm.
+    fn scanned_plane(rig: &Calibration, truth: &Calibration) -> Vec<(DVec3, DVec3)> {
+        let normal = DVec3::new(0.2, -0.1, 1.0).normalize();
+        let rays = truth.camera.ray_table("camera").unwrap();
+        let points: Vec<DVec3> =
+            rays.iter().map(|ray| ray.extend(1.0) * (600.0 * normal.z / normal.dot(ray.extend(1.0)))).collect();
+        let columns: Vec<f32> = points.iter().map(|&p| truth.projector_px(p).x as f32).collect();
+        let [w, h] = [truth.camera.width_px, truth.camera.height_px].map(|n| n as usize);
+        let (mut mask, mut grid) = (PixelMask::new(w, h), PointGrid::new(w, h));
+        mask.verdicts.fill(crate::light::Rejection::Kept);
+        let triangulator = Triangulator::new(rig, DepthRange::default()).unwrap();
+        triangulator.triangulate(&columns, &mut mask, &mut grid);
+        let found = grid.points_mm.iter().map(|&p: &Vec3| scan_from_camera(p).as_dvec3());
+        found.zip(points).step_by(97).collect()
+    }
+
+    /// Root-mean-square distance of points from their plane z = a x + b y + c.
+    fn plane_rms_mm(points: &[DVec3]) -> f64 {
+        let mean = points.iter().sum::<DVec3>() / points.len() as f64;
+        let row = |p: &DVec3| DVec3::new(p.x - mean.x, p.y - mean.y, 1.0);
+        let outer = |r: DVec3| glam::DMat3::from_cols(r * r.x, r * r.y, r * r.z);
+        let normal = points.iter().map(row).fold(glam::DMat3::ZERO, |sum, r| sum + outer(r));
+        let plane = normal.inverse() * points.iter().map(|p| row(p) * (p.z - mean.z)).sum::<DVec3>();
+        let distance =
+            |p: &DVec3| (p.z - mean.z - plane.dot(row(p))) / (1.0 + plane.x.powi(2) + plane.y.powi(2)).sqrt();
+        (points.iter().map(|p| distance(p).powi(2)).sum::<f64>() / points.len() as f64).sqrt()
+    }
+
+    #[test]
+    fn simulated_pictures_give_the_simulators_rig() {
+        let work = tempfile::tempdir().unwrap();
+        let (folder, out) = (work.path().join("boards"), work.path().join("rig.yml"));
+        let picture = work.path().join("rig.svg");
+        let more = ["--simulate", "10", "--seed", "3", "--format", "opencv", "--json", "-o", out.to_str().unwrap()];
+        let report = run(&folder, &[&more[..], &["--residuals", picture.to_str().unwrap()]].concat()).unwrap().report;
+        let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+        let read = |path: &Path| {
+            let text = std::fs::read_to_string(path).unwrap();
+            Calibration::from_text::<LightError>(&text, || panic!("sizes are in the file")).unwrap()
+        };
+        let (rig, truth) = (read(&out), read(&folder.join("truth.toml")));
+        assert!(std::fs::read_to_string(&picture).unwrap().contains("view_09"));
+        assert_eq!(report["views"].as_array().unwrap().len(), 10);
+        let truths = [
+            ("camera.fx_px", truth.camera.fx_px),
+            ("camera.cx_px", truth.camera.cx_px),
+            ("camera.k1", truth.camera.distortion.k1),
+            ("projector.fy_px", truth.projector.fy_px),
+            ("projector.cy_px", truth.projector.cy_px),
+            ("projector_from_camera.tx_mm", truth.projector_from_camera.translation_mm[0]),
+        ];
+        for (name, truth) in truths {
+            let parameters = report["parameters"].as_array().unwrap();
+            let found = parameters.iter().find(|p| p["name"] == name).unwrap();
+            let (value, error) = (found["value"].as_f64().unwrap(), found["standard_error"].as_f64().unwrap());
+            println!("{name}: {:+.2} standard errors", (value - truth) / error);
+            // Errors of detection are not quite normal.
+            assert!((value - truth).abs() < 5.0 * error, "{name}: {value} with {error}, but {truth}");
+        }
+        let plane = scanned_plane(&rig, &truth);
+        let (found, exact): (Vec<DVec3>, Vec<DVec3>) = plane.into_iter().unzip();
+        let (first, last) = (0, found.len() - 1);
+        let scale = found[first].distance(found[last]) / exact[first].distance(exact[last]);
+        let flatness_mm = plane_rms_mm(&found);
+        println!("a plane is flat to {flatness_mm:.4} mm rms, its diagonal {:+.1e} too long", scale - 1.0);
+        assert!(flatness_mm < 0.03 && (scale - 1.0).abs() < 5e-4, "{flatness_mm} mm, {scale}");
+    }
+
+    #[test]
+    fn nothing_is_saved_of_what_cannot_be_used() {
+        let work = tempfile::tempdir().unwrap();
+        let (folder, out) = (work.path().join("boards"), work.path().join("rig.toml"));
+        let more = ["-o", out.to_str().unwrap()];
+        let missing = run(&folder, &more).unwrap_err().to_string();
+        assert!(missing.contains("boards: cannot open"), "{missing}");
+        let done = run(&folder, &["--simulate", "2"]).unwrap().report;
+        assert!(done.contains("truth.toml"), "{done}");
+        let few = run(&folder, &more).unwrap_err().to_string();
+        assert!(few.contains("nothing is saved: 2 views of the board, at least 6"), "{few}");
+        std::fs::remove_file(folder.join("view_01/pattern_03.png")).unwrap();
+        let few = run(&folder, &more).unwrap_err().to_string();
+        assert!(few.contains("1 views of the board") && few.contains("left out: view_01"), "{few}");
+        let csv = work.path().join("corners.csv");
+        std::fs::write(&csv, "view,corner,x_px,y_px\nview_07,0,10,10\n").unwrap();
+        let lost = run(&folder, &[&more[..], &["--corners", csv.to_str().unwrap()]].concat()).unwrap_err().to_string();
+        assert!(lost.contains("view \"view_07\" has no folder"), "{lost}");
+        assert!(!out.exists());
+        std::fs::write(&out, "mine").unwrap();
+        assert!(run(&folder, &more).unwrap_err().to_string().contains("--force"));
+        assert_eq!(std::fs::read_to_string(&out).unwrap(), "mine");
+    }
 }

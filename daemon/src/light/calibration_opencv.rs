@@ -151,7 +151,12 @@ mod tests {
     #[test]
     fn other_programs_names_are_read_and_sizes_asked_for() {
         let mut text = rig().to_opencv();
-        for names in [["cameraMatrix1", "cam_K"], ["distCoeffs1", "cam_kc"], ["cameraMatrix2", "proj_K"], ["distCoeffs2", "proj_kc"]] {
+        for names in [
+            ["cameraMatrix1", "cam_K"],
+            ["distCoeffs1", "cam_kc"],
+            ["cameraMatrix2", "proj_K"],
+            ["distCoeffs2", "proj_kc"],
+        ] {
             text = text.replace(names[0], names[1]);
         }
         let without: String = text.lines().filter(|l| !l.starts_with("imageSize")).map(|l| format!("{l}\n")).collect();

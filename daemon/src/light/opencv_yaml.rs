@@ -50,8 +50,9 @@ impl<'a> OpencvYaml<'a> {
         for (index, line) in text.split_inclusive('\n').enumerate() {
             let end = start + line.len();
             let bare = line.trim_end();
-            let goes_on = bare.is_empty() || bare.starts_with([' ', '\t', '#']) || bare.starts_with("- ") || bare == "-";
-            let is_mark = bare.starts_with('%') || bare.starts_with("---") || bare == "...";
+            let goes_on =
+                bare.is_empty() || bare.starts_with([' ', '\t']) || bare.starts_with("- ") || bare == "-";
+            let is_mark = bare.starts_with(['%', '#']) || bare.starts_with("---") || bare == "...";
             if goes_on {
                 if let Some(last) = entries.last_mut() {
                     let body_start = last.body.as_ptr() as usize - text.as_ptr() as usize;
@@ -62,7 +63,11 @@ impl<'a> OpencvYaml<'a> {
                     let shown: String = bare.chars().take(40).collect();
                     LightError::field(format!("line {}", index + 1), format!("{shown:?}, expected a key and a colon"))
                 })?;
-                entries.push(Entry { key: key.trim().trim_matches('"'), line: index + 1, body: &text[start + key.len() + 1..end] });
+                entries.push(Entry {
+                    key: key.trim().trim_matches('"'),
+                    line: index + 1,
+                    body: &text[start + key.len() + 1..end],
+                });
             }
             start = end;
         }
@@ -80,7 +85,9 @@ impl<'a> OpencvYaml<'a> {
     /// # Errors
     /// [`LightError::Field`] naming line and key of an entry that is no matrix, list or number of finite numbers.
     pub fn numbers(&self, keys: &[&str]) -> Result<Option<(String, Numbers)>, LightError> {
-        let Some(entry) = keys.iter().find_map(|key| self.entries.iter().find(|e| e.key == *key)) else { return Ok(None) };
+        let Some(entry) = keys.iter().find_map(|key| self.entries.iter().find(|e| e.key == *key)) else {
+            return Ok(None);
+        };
         let place = place(entry.line, entry.key);
         let numbers = entry.numbers().map_err(|reason| LightError::field(&place, reason))?;
         Ok(Some((place, numbers)))

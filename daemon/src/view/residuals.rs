@@ -40,7 +40,11 @@ pub fn residual_picture(
 ) -> Result<String, String> {
     let devices = [
         Device { name: "camera", size_px: camera_size_px, views: views.iter().map(|v| &v.camera[..]).collect() },
-        Device { name: "projector", size_px: projector_size_px, views: views.iter().map(|v| &v.projector[..]).collect() },
+        Device {
+            name: "projector",
+            size_px: projector_size_px,
+            views: views.iter().map(|v| &v.projector[..]).collect(),
+        },
     ];
     let mut svg = String::new();
     let root = SVGBackend::with_string(&mut svg, SIZE_PX).into_drawing_area();
@@ -127,7 +131,8 @@ fn draw_scatter<'a>(root: &Area<'a>, device: &Device, [left, top]: [i32; 2]) -> 
 impl Device<'_> {
     fn used_lengths(&self) -> Vec<f64> {
         let used = self.views.iter().flat_map(|v| v.iter()).filter(|r| !r.rejected);
-        let mut lengths: Vec<f64> = used.map(|r| r.error_px[0].hypot(r.error_px[1])).filter(|l| l.is_finite()).collect();
+        let mut lengths: Vec<f64> =
+            used.map(|r| r.error_px[0].hypot(r.error_px[1])).filter(|l| l.is_finite()).collect();
         lengths.sort_unstable_by(f64::total_cmp);
         lengths
     }
@@ -197,7 +202,8 @@ mod tests {
     #[test]
     fn nothing_and_not_a_number_are_drawn_too() {
         residual_picture(&[], [640, 480], [912, 1140]).unwrap();
-        let views: Vec<ViewResiduals> = (0..50).map(|i| view(&format!("v{i}"), if i == 3 { f64::NAN } else { 0.0 })).collect();
+        let views: Vec<ViewResiduals> =
+            (0..50).map(|i| view(&format!("v{i}"), if i == 3 { f64::NAN } else { 0.0 })).collect();
         let svg = residual_picture(&views, [640, 480], [912, 1140]).unwrap();
         assert!(svg.contains("and 10 more") && !svg.contains("NaN"));
     }

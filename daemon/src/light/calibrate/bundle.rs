@@ -245,11 +245,16 @@ mod tests {
             assert_eq!(block.error, errors(&bundle, view, corner));
             for i in 0..SHARED + POSE {
                 let is_distortion = i < 2 * LENS_PARAMETERS && i % LENS_PARAMETERS >= 4;
-                let is_turn = (2 * LENS_PARAMETERS..2 * LENS_PARAMETERS + 3).contains(&i) || (SHARED..SHARED + 3).contains(&i);
+                let is_turn =
+                    (2 * LENS_PARAMETERS..2 * LENS_PARAMETERS + 3).contains(&i) || (SHARED..SHARED + 3).contains(&i);
                 let step = if is_distortion || is_turn { 1e-5 } else { 1e-2 };
                 let at = |by: f64| {
                     let (mut shared, mut poses) = (vec![0.0; SHARED], vec![[0.0; POSE]; bundle.views.len()]);
-                    if i < SHARED { shared[i] = by } else { poses[view][i - SHARED] = by }
+                    if i < SHARED {
+                        shared[i] = by
+                    } else {
+                        poses[view][i - SHARED] = by
+                    }
                     errors(&bundle.moved(&shared, &poses), view, corner)
                 };
                 let (plus, minus) = (at(step), at(-step));

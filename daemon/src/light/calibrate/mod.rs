@@ -133,8 +133,8 @@ pub fn calibrate(
     let views_of = |(pose, corners): (Pose, Vec<Corner>)| View { pose, corners };
     let bundle_views = camera_poses.into_iter().zip(camera_corners).map(views_of).collect();
     let mut bundle = Bundle { rig, views: bundle_views, free, whitening: [[0.0; 4]; 4], huber: noise::HUBER };
-    let covariance_px2 = fit_rig(&mut bundle)?;
     let names: Vec<&str> = views.iter().map(|v| v.name.as_str()).collect();
+    let covariance_px2 = fit_rig(&mut bundle, &names)?;
     let calibrated = report::report(&bundle, &names, coverage, &covariance_px2)?;
     refusal::check_result(&calibrated, options)?;
     Ok(calibrated)
@@ -195,11 +195,8 @@ fn fit_lens(
     };
     let start = |(h, corners): (&DMat3, &Vec<Corner>)| View { pose: zhang::pose(matrix, *h), corners: corners.clone() };
     // The projector of this rig is not looked at.
-    let rig = Calibration {
-        camera: lens,
-        projector: lens,
-        projector_from_camera: Rigid::new(DMat3::IDENTITY, DVec3::ZERO),
-    };
+    let rig =
+        Calibration { camera: lens, projector: lens, projector_from_camera: Rigid::new(DMat3::IDENTITY, DVec3::ZERO) };
     let mut bundle = Bundle {
         rig,
         views: homographies.iter().zip(corners).map(start).collect(),
@@ -245,7 +242,7 @@ fn between(camera: &[Pose], projector: &[Pose]) -> Rigid {
 
 /// Everything together: first against outliers, then least squares of what is left, weighted by its own covariance,
 /// until neither changes. Returns that covariance, px^2.
-fn fit_rig(bundle: &mut Bundle) -> Result<[[f64; 4]; 4], CalibrateError> {
+fn fit_rig(bundle: &mut Bundle, names: &[&str]) -> Result<[[f64; 4]; 4], CalibrateError> {
     let failed = || CalibrateError::NoMinimum { what: "rig" };
     robust_fit(bundle).ok_or_else(failed)?;
     bundle.whitening = noise::robust_whitening(bundle);
@@ -253,7 +250,7 @@ fn fit_rig(bundle: &mut Bundle) -> Result<[[f64; 4]; 4], CalibrateError> {
     let mut before = [[0.0; 4]; 4];
     for _ in 0..MAX_ROUNDS {
         let changed = noise::mark_outliers(bundle);
-        refusal::check_outliers(bundle)?;
+        refusal::check_outliers(bundle, names)?;
         minimize(bundle, EXACT).ok_or_else(failed)?;
         let covariance = noise::covariance(bundle).ok_or_else(failed)?;
         bundle.whitening = noise::whitening(&covariance).ok_or_else(failed)?;

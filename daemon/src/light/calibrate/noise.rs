@@ -76,7 +76,8 @@ pub(super) fn mark_outliers(bundle: &mut Bundle) -> usize {
     for view in &bundle.views {
         for corner in &view.corners {
             let (camera, projector) = bundle.errors(view, corner);
-            let [in_camera, in_projector] = bundle.whitened(camera.unwrap_or(DVec2::MAX), projector.unwrap_or_default());
+            let [in_camera, in_projector] =
+                bundle.whitened(camera.unwrap_or(DVec2::MAX), projector.unwrap_or_default());
             marks.push((in_camera > REJECT, projector.is_some() && in_projector > REJECT));
         }
     }
@@ -102,8 +103,10 @@ mod tests {
         let w = whitening(&covariance).unwrap();
         for i in 0..4 {
             for j in 0..4 {
-                let found: f64 =
-                    (0..4).flat_map(|k| (0..4).map(move |l| (k, l))).map(|(k, l)| w[i][k] * covariance[k][l] * w[j][l]).sum();
+                let found: f64 = (0..4)
+                    .flat_map(|k| (0..4).map(move |l| (k, l)))
+                    .map(|(k, l)| w[i][k] * covariance[k][l] * w[j][l])
+                    .sum();
                 assert!((found - f64::from(u8::from(i == j))).abs() < 1e-9);
             }
         }

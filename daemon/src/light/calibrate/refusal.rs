@@ -13,7 +13,7 @@ const MIN_CORNERS: usize = 12;
 /// Least tilt between two boards, degrees, judged by a lens of a usual field.
 const MIN_TILT_DEG: f64 = 5.0;
 /// Least share of the camera's picture within the outline of all corners.
-const MIN_CAMERA_COVERAGE: f64 = 0.3;
+const MIN_CAMERA_COVERAGE: f64 = 0.2;
 /// The same for the projector, which lights more than the camera sees.
 const MIN_PROJECTOR_COVERAGE: f64 = 0.15;
 /// Largest share of corners of a view, and of all corners, that may be outliers.
@@ -89,10 +89,12 @@ pub enum CalibrateError {
         what: &'static str,
     },
     /// Too many corners that do not fit.
-    #[error("view {}: {rejected} of its {corners} corners fit no rig that fits the others; check or leave out that view", .view + 1)]
+    #[error(
+        "{view}: {rejected} of its {corners} corners do not fit the rig that fits the other views; check or leave out that view"
+    )]
     ViewOutliers {
-        /// Index of the view, from zero.
-        view: usize,
+        /// The view.
+        view: String,
         /// Its outliers.
         rejected: usize,
         /// Its corners.
@@ -148,7 +150,9 @@ pub enum CalibrateError {
     #[error("the views leave a combination of parameters open; capture more views with more tilt in all directions")]
     Singular,
     /// The result is no calibration.
-    #[error("the result is no usable calibration: {0}; bring the board to the border of the picture, or estimate fewer distortion terms")]
+    #[error(
+        "the result is no usable calibration: {0}; bring the board to the border of the picture, or estimate fewer distortion terms"
+    )]
     Result(#[from] LightError),
 }
 
@@ -171,12 +175,9 @@ pub(super) fn check_views(
     let projector: Vec<DVec2> =
         views.iter().flat_map(|v| v.projector_px.iter().flatten()).map(|&p| DVec2::from_array(p)).collect();
     let share = |points: Vec<DVec2>, [w, h]: [u32; 2]| hull_area(points) / (f64::from(w) * f64::from(h));
-    let coverage =
-        Coverage { camera: share(camera, camera_size_px), projector: share(projector, projector_size_px) };
-    let limits = [
-        ("camera", coverage.camera, MIN_CAMERA_COVERAGE),
-        ("projector", coverage.projector, MIN_PROJECTOR_COVERAGE),
-    ];
+    let coverage = Coverage { camera: share(camera, camera_size_px), projector: share(projector, projector_size_px) };
+    let limits =
+        [("camera", coverage.camera, MIN_CAMERA_COVERAGE), ("projector", coverage.projector, MIN_PROJECTOR_COVERAGE)];
     for (device, share, need) in limits {
         if share < need {
             return Err(CalibrateError::Coverage { device, share, need });
@@ -215,13 +216,13 @@ pub(super) fn check_tilt(
 }
 
 /// Refuses a fit that holds only by leaving much out.
-pub(super) fn check_outliers(bundle: &Bundle) -> Result<(), CalibrateError> {
+pub(super) fn check_outliers(bundle: &Bundle, names: &[&str]) -> Result<(), CalibrateError> {
     let (mut all_rejected, mut all_corners) = (0, 0);
-    for (index, view) in bundle.views.iter().enumerate() {
+    for (view, name) in bundle.views.iter().zip(names) {
         let corners = view.corners.len();
         let rejected = view.corners.iter().filter(|c| c.camera_rejected || c.projector_rejected).count();
         if rejected as f64 > MAX_REJECTED_OF_VIEW * corners as f64 {
-            return Err(CalibrateError::ViewOutliers { view: index, rejected, corners });
+            return Err(CalibrateError::ViewOutliers { view: (*name).into(), rejected, corners });
         }
         all_rejected += rejected;
         all_corners += corners;

@@ -196,7 +196,12 @@ fn view_report(bundle: &Bundle, view: &View, name: &str) -> ViewReport {
         corners: view.corners.len(),
         decoded: view.corners.iter().filter(is_decoded).count(),
         camera_rejected: view.corners.iter().filter(|c| c.camera_rejected).count(),
-        projector_rejected: view.corners.iter().filter(is_decoded).filter(|c| c.projector_rejected && !c.camera_rejected).count(),
+        projector_rejected: view
+            .corners
+            .iter()
+            .filter(is_decoded)
+            .filter(|c| c.projector_rejected && !c.camera_rejected)
+            .count(),
         camera_rms_px: rms(&camera),
         projector_rms_px: rms(&projector),
         distance_mm: view.pose.translation_mm.length(),
@@ -205,11 +210,8 @@ fn view_report(bundle: &Bundle, view: &View, name: &str) -> ViewReport {
 }
 
 fn view_residuals(bundle: &Bundle, view: &View, name: &str) -> ViewResiduals {
-    let residual = |at: DVec2, error: DVec2, rejected| Residual {
-        at_px: at.to_array(),
-        error_px: error.to_array(),
-        rejected,
-    };
+    let residual =
+        |at: DVec2, error: DVec2, rejected| Residual { at_px: at.to_array(), error_px: error.to_array(), rejected };
     let mut found = ViewResiduals { name: name.into(), camera: Vec::new(), projector: Vec::new() };
     for corner in &view.corners {
         let (camera, projector) = bundle.errors(view, corner);

@@ -275,3 +275,74 @@ fn a_rig_like_the_real_one_is_recovered_within_its_standard_errors() {
     assert!((found.report.camera_rms_px - 0.31).abs() < 0.02 && (found.report.projector_rms_px - 0.2).abs() < 0.02);
     assert!(found.report.point_standard_error_largest_mm < 10.0);
 }
+
+/// The refusal of views that are changed after they were made.
+fn refusal(stage: &Stage, count: usize, noise_px: f64, change: impl Fn(&mut Vec<BoardView>)) -> CalibrateError {
+    let mut views = stage.views(count, &Noise { camera_px: noise_px, projector_px: noise_px, seed: 21 }, 0.0);
+    change(&mut views);
+    stage.calibrate(&views, &CalibrateOptions::default()).unwrap_err()
+}
+
+#[test]
+fn views_that_determine_nothing_are_refused_with_the_reason() {
+    let unchanged = |_: &mut Vec<BoardView>| ();
+    let error = refusal(&stage(), 5, 0.1, unchanged);
+    assert_eq!(error, CalibrateError::TooFewViews { found: 5, need: 6 });
+    assert!(error.to_string().contains("at least 6"));
+    let parallel = refusal(&Stage { largest_tilt_rad: 0.0, ..stage() }, 10, 0.1, unchanged);
+    assert!(matches!(parallel, CalibrateError::Parallel { device: "camera", .. }), "{parallel}");
+    let narrow = Stage { reach_mm: DVec3::new(2.0, 2.0, 50.0), square_mm: 8.0, ..stage() };
+    let error = refusal(&narrow, 10, 0.1, unchanged);
+    assert!(matches!(error, CalibrateError::Coverage { device: "camera", .. }), "{error}");
+    let error = refusal(&stage(), 8, 0.1, |views| views[3].projector_px.iter_mut().for_each(|p| *p = None));
+    assert!(error.to_string().starts_with("view 3: the projector's coordinates are known at 0 of"), "{error}");
+    let error = refusal(&stage(), 8, 0.1, |views| views[4].camera_px[7][1] = f64::NAN);
+    assert!(error.to_string().starts_with("view 4: a corner is not a number"), "{error}");
+    let error = refusal(&stage(), 8, 0.1, |views| drop(views[5].projector_px.pop()));
+    assert!(error.to_string().starts_with("view 5:"), "{error}");
+    let line = |views: &mut Vec<BoardView>| views[2].camera_px.iter_mut().for_each(|p| p[1] = p[0]);
+    let error = refusal(&stage(), 8, 0.1, line);
+    assert!(matches!(&error, CalibrateError::NoPlane { device: "camera", view } if view == "view 2"), "{error}");
+}
+
+#[test]
+fn results_that_no_one_should_measure_with_are_refused() {
+    let error = refusal(&stage(), 10, 2.0, |_| ());
+    assert!(matches!(error, CalibrateError::Rms { device: "camera", .. }), "{error}");
+    // Almost parallel boards pass for tilted and leave the focal length uncertain.
+    let flat = Stage { largest_tilt_rad: 0.08, ..stage() };
+    let error = refusal(&flat, 6, 0.5, |_| ());
+    let is_uncertain = matches!(
+        error,
+        CalibrateError::Uncertain { .. } | CalibrateError::PointUncertain { .. } | CalibrateError::Result(_)
+    );
+    assert!(is_uncertain, "{error}");
+    // The corners of one view counted from the other end: its projector coordinates are those of other corners.
+    let swapped = |views: &mut Vec<BoardView>| views[4].projector_px.reverse();
+    let error = refusal(&stage(), 10, 0.1, swapped);
+    assert!(error.to_string().starts_with("view 4: "), "{error}");
+    // A capture of another rig among the views.
+    let error = refusal(&stage(), 10, 0.1, |views| {
+        views[6].camera_px.iter_mut().for_each(|p| p[0] = 320.0 + 0.8 * (p[0] - 320.0));
+    });
+    assert!(error.to_string().contains("view 6"), "{error}");
+}
+
+#[test]
+fn terms_that_are_not_estimated_stay_zero() {
+    let stage = stage();
+    let views = stage.views(10, &Noise { camera_px: 0.1, projector_px: 0.1, seed: 2 }, 0.0);
+    let none = DistortionTerms { k1: false, k2: false, tangential: false, k3: false };
+    let options = CalibrateOptions {
+        camera: DistortionTerms { k2: false, ..DistortionTerms::default() },
+        projector: none,
+        max_rms_px: 5.0,
+        ..CalibrateOptions::default()
+    };
+    let found = stage.calibrate(&views, &options).unwrap();
+    assert!(found.calibration.projector.distortion.is_zero());
+    let Distortion { k1, k2, k3, .. } = found.calibration.camera.distortion;
+    assert!(k1 < 0.0 && k2 == 0.0 && k3 == 0.0);
+    assert_eq!(found.report.parameters.len(), 7 + 4 + 6);
+    assert!(found.report.parameters.iter().all(|p| p.name != "camera.k2"));
+}

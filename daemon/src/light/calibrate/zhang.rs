@@ -162,10 +162,7 @@ mod tests {
                 let shift = DVec3::new(20.0 * f64::from(i), 0.0, 50.0 * f64::from(i));
                 let turn = DMat3::from_rotation_z(0.3 * f64::from(i));
                 let first = tilted(0.3, 0.2);
-                homography_of(&Pose {
-                    rotation: first.rotation * turn,
-                    translation_mm: first.translation_mm + shift,
-                })
+                homography_of(&Pose { rotation: first.rotation * turn, translation_mm: first.translation_mm + shift })
             })
             .collect();
         assert!(largest_tilt_rad(&parallel, [640, 480]) < 1e-3);
