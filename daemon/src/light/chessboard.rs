@@ -8,18 +8,16 @@
 
 use super::LightError;
 use super::board::Board;
-use super::chessboard_corners::CornerFinder;
+use super::chessboard_corners::{CornerFinder, refine_sigma_px};
 use super::chessboard_grid::CornerGrid;
 use super::field::Field;
 use glam::DVec2;
 use gv3_codec::GreyPicture;
 
+/// Pictures with less on a side hold no board.
+const MIN_SIDE_PX: u32 = 24;
 /// The picture is halved at most this often, until the board is found: heavy blur and noise shrink away.
 const MAX_HALVINGS: usize = 2;
-/// Radius of the pixels that a corner's place is refined from, of the distance to the next corner, and its limits, pixels.
-const REFINE_PART: f64 = 0.4;
-const REFINE_PX: [f64; 2] = [3.0, 12.0];
-
 /// Why the board's corners were not found.
 #[derive(Debug, thiserror::Error, Clone, PartialEq)]
 pub enum ChessboardError {
@@ -58,12 +56,15 @@ pub fn find_chessboard(picture: &GreyPicture, board: &Board) -> Result<Vec<[f64;
     board.validate()?;
     let wanted = [board.columns, board.rows];
     let mut best = ChessboardError::NotFound { corners: 0, found: [0, 0], wanted };
-    let full = CornerFinder::new(&Field::from_picture(picture));
-    let mut level = Field::from_picture(picture);
+    if picture.width_px.min(picture.height_px) < MIN_SIDE_PX {
+        return Err(best);
+    }
+    let full = CornerFinder::new(Field::from_picture(picture));
+    let mut smaller: Option<CornerFinder> = None;
     for halvings in 0..=MAX_HALVINGS {
-        let finder = if halvings == 0 { full.clone() } else { CornerFinder::new(&level) };
+        let finder = smaller.as_ref().unwrap_or(&full);
         let scale = f64::from(1u32 << halvings);
-        match find_grid(&finder, wanted) {
+        match find_grid(finder, wanted) {
             Ok(grid) => {
                 if let Some(grid) = refined(&grid, scale, &full) {
                     return Ok(ordered(&grid, board, full.levels()));
@@ -72,10 +73,11 @@ pub fn find_chessboard(picture: &GreyPicture, board: &Board) -> Result<Vec<[f64;
             Err(several @ ChessboardError::Several { .. }) => return Err(several),
             Err(error) => best = better(best, error),
         }
-        if level.width.min(level.height) < 64 {
+        let half = finder.picture().halved();
+        if half.width.min(half.height) < MIN_SIDE_PX as usize {
             break;
         }
-        level = level.halved();
+        smaller = Some(CornerFinder::new(half));
     }
     Err(best)
 }
@@ -98,6 +100,7 @@ fn find_grid(finder: &CornerFinder, wanted: [u32; 2]) -> Result<CornerGrid, Ches
     let corner_count = wanted[0] as usize * wanted[1] as usize;
     let mut grids = CornerGrid::find(&finder.candidates(), finder.levels());
     for grid in grids.iter_mut().filter(|g| !g.is_torn && 2 * g.cells.len() >= corner_count) {
+        grid.trim();
         if !grid.is_whole() || larger_first(grid.size()) != larger_first(wanted) {
             grid.fill(finder);
         }
@@ -116,8 +119,7 @@ fn refined(grid: &CornerGrid, scale: f64, full: &CornerFinder) -> Option<CornerG
     let mut out = CornerGrid::default();
     for (cell, px) in &grid.cells {
         let start = *px * scale + 0.5 * (scale - 1.0);
-        let radius_px = (REFINE_PART * scale * grid.spacing_px(*cell)).clamp(REFINE_PX[0], REFINE_PX[1]);
-        out.cells.insert(*cell, full.refine(start, radius_px)?);
+        out.cells.insert(*cell, full.refine(start, refine_sigma_px(scale * grid.spacing_px(*cell)))?);
     }
     out.is_whole().then_some(out)
 }

@@ -6,7 +6,7 @@
 //! distortion bend the grid as they like (growth from neighbours as in A. Geiger, F. Moosmann, Ö. Car, B. Schuster,
 //! "Automatic camera and range sensor calibration using a single shot", ICRA 2012).
 
-use super::chessboard_corners::{Corner, CornerFinder};
+use super::chessboard_corners::{Corner, CornerFinder, refine_sigma_px};
 use super::field::Field;
 use glam::DVec2;
 use std::collections::{BTreeMap, VecDeque};
@@ -88,6 +88,21 @@ impl CornerGrid {
         distances.fold(f64::INFINITY, f64::min)
     }
 
+    /// Takes off outermost lines that hold corners in less than a third of their places: marks on the wall that happen to
+    /// continue the board.
+    pub fn trim(&mut self) {
+        loop {
+            let (low, high) = self.bounds();
+            let size = self.size();
+            let lines = [0, 1].into_iter().flat_map(|d: usize| [(d, low[d]), (d, high[d])]);
+            let count = |d: usize, at: i32| self.cells.keys().filter(|cell| cell[d] == at).count();
+            let Some((d, at)) = lines.into_iter().find(|&(d, at)| 3 * count(d, at) < size[1 - d] as usize) else {
+                return;
+            };
+            self.cells.retain(|cell, _| cell[d] != at);
+        }
+    }
+
     /// Looks for corners at the places inside and next to the grid that have none: noise or a scratch hides some.
     pub fn fill(&mut self, finder: &CornerFinder) {
         /// Rounds without bound would let the grid creep over a patterned wall.
@@ -124,7 +139,7 @@ impl CornerGrid {
             return None;
         }
         let expected = guesses.iter().sum::<DVec2>() / guesses.len() as f64;
-        let px = finder.refine(expected, (0.4 * spacing_px).max(3.0))?;
+        let px = finder.refine(expected, refine_sigma_px(spacing_px))?;
         finder.corner_at(px)?;
         (px.distance(expected) < 2.0 * MAX_UNEVENNESS * spacing_px).then_some(px)
     }
