@@ -37,6 +37,15 @@ pub enum ChessboardError {
         /// Columns and rows of the board.
         wanted: [u32; 2],
     },
+    /// The board is there, but one of its corners cannot be placed.
+    #[error(
+        "the board's corner near pixel {:.0}, {:.0} is not clear: something covers it, or the board is bent; show the whole \
+         board, flat", near_px[0], near_px[1]
+    )]
+    Unclear {
+        /// Where, camera pixels.
+        near_px: [f64; 2],
+    },
     /// More than one.
     #[error("found {count} boards of {} x {} inner corners; cover all but one", wanted[0], wanted[1])]
     Several {
@@ -66,9 +75,9 @@ pub fn find_chessboard(picture: &GreyPicture, board: &Board) -> Result<Vec<[f64;
         let scale = f64::from(1u32 << halvings);
         match find_grid(finder, wanted) {
             Ok(grid) => {
-                if let Some(grid) = refined(&grid, scale, &full) {
-                    return Ok(ordered(&grid, board, full.levels()));
-                }
+                let refined = refined(&grid, scale, &full);
+                let unclear = |px: DVec2| ChessboardError::Unclear { near_px: px.to_array() };
+                return refined.map(|grid| ordered(&grid, board, full.levels())).map_err(unclear);
             }
             Err(several @ ChessboardError::Several { .. }) => return Err(several),
             Err(error) => best = better(best, error),
@@ -102,7 +111,7 @@ fn find_grid(finder: &CornerFinder, wanted: [u32; 2]) -> Result<CornerGrid, Ches
     for grid in grids.iter_mut().filter(|g| !g.is_torn && 2 * g.cells.len() >= corner_count) {
         grid.trim();
         if !grid.is_whole() || larger_first(grid.size()) != larger_first(wanted) {
-            grid.fill(finder);
+            grid.fill(finder, wanted);
         }
     }
     let fits = |g: &CornerGrid| larger_first(g.size()) == larger_first(wanted) && g.is_whole();
@@ -114,14 +123,18 @@ fn find_grid(finder: &CornerFinder, wanted: [u32; 2]) -> Result<CornerGrid, Ches
     grids.into_iter().find(fits).ok_or(ChessboardError::NotFound { corners, found, wanted })
 }
 
-/// The grid with its corners refined in the full picture; `None` when one of them gets lost there.
-fn refined(grid: &CornerGrid, scale: f64, full: &CornerFinder) -> Option<CornerGrid> {
+/// The grid with its corners refined in the full picture, or the place of one that cannot be.
+fn refined(grid: &CornerGrid, scale: f64, full: &CornerFinder) -> Result<CornerGrid, DVec2> {
     let mut out = CornerGrid::default();
     for (cell, px) in &grid.cells {
         let start = *px * scale + 0.5 * (scale - 1.0);
-        out.cells.insert(*cell, full.refine(start, refine_sigma_px(scale * grid.spacing_px(*cell)))?);
+        let sigma_px = refine_sigma_px(scale * grid.spacing_px(*cell));
+        out.cells.insert(*cell, full.refine(start, sigma_px).ok_or(start)?);
     }
-    out.is_whole().then_some(out)
+    match out.bent(full) {
+        Some(px) => Err(px),
+        None => Ok(out),
+    }
 }
 
 /// The corners in the board's order.
