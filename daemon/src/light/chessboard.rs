@@ -8,18 +8,16 @@
 
 use super::LightError;
 use super::board::Board;
-use super::chessboard_corners::CornerFinder;
+use super::chessboard_corners::{CornerFinder, refine_sigma_px};
 use super::chessboard_grid::CornerGrid;
 use super::field::Field;
 use glam::DVec2;
 use gv3_codec::GreyPicture;
 
+/// Pictures with less on a side hold no board.
+const MIN_SIDE_PX: u32 = 24;
 /// The picture is halved at most this often, until the board is found: heavy blur and noise shrink away.
 const MAX_HALVINGS: usize = 2;
-/// Radius of the pixels that a corner's place is refined from, of the distance to the next corner, and its limits, pixels.
-const REFINE_PART: f64 = 0.4;
-const REFINE_PX: [f64; 2] = [3.0, 12.0];
-
 /// Why the board's corners were not found.
 #[derive(Debug, thiserror::Error, Clone, PartialEq)]
 pub enum ChessboardError {
@@ -38,6 +36,15 @@ pub enum ChessboardError {
         found: [u32; 2],
         /// Columns and rows of the board.
         wanted: [u32; 2],
+    },
+    /// The board is there, but one of its corners cannot be placed.
+    #[error(
+        "the board's corner near pixel {:.0}, {:.0} is not clear: something covers it, or the board is bent; show the whole \
+         board, flat", near_px[0], near_px[1]
+    )]
+    Unclear {
+        /// Where, camera pixels.
+        near_px: [f64; 2],
     },
     /// More than one.
     #[error("found {count} boards of {} x {} inner corners; cover all but one", wanted[0], wanted[1])]
@@ -58,24 +65,28 @@ pub fn find_chessboard(picture: &GreyPicture, board: &Board) -> Result<Vec<[f64;
     board.validate()?;
     let wanted = [board.columns, board.rows];
     let mut best = ChessboardError::NotFound { corners: 0, found: [0, 0], wanted };
-    let full = CornerFinder::new(&Field::from_picture(picture));
-    let mut level = Field::from_picture(picture);
+    if picture.width_px.min(picture.height_px) < MIN_SIDE_PX {
+        return Err(best);
+    }
+    let full = CornerFinder::new(Field::from_picture(picture));
+    let mut smaller: Option<CornerFinder> = None;
     for halvings in 0..=MAX_HALVINGS {
-        let finder = if halvings == 0 { full.clone() } else { CornerFinder::new(&level) };
+        let finder = smaller.as_ref().unwrap_or(&full);
         let scale = f64::from(1u32 << halvings);
-        match find_grid(&finder, wanted) {
+        match find_grid(finder, wanted) {
             Ok(grid) => {
-                if let Some(grid) = refined(&grid, scale, &full) {
-                    return Ok(ordered(&grid, board, full.levels()));
-                }
+                let refined = refined(&grid, scale, &full);
+                let unclear = |px: DVec2| ChessboardError::Unclear { near_px: px.to_array() };
+                return refined.map(|grid| ordered(&grid, board, full.levels())).map_err(unclear);
             }
             Err(several @ ChessboardError::Several { .. }) => return Err(several),
             Err(error) => best = better(best, error),
         }
-        if level.width.min(level.height) < 64 {
+        let half = finder.picture().halved();
+        if half.width.min(half.height) < MIN_SIDE_PX as usize {
             break;
         }
-        level = level.halved();
+        smaller = Some(CornerFinder::new(half));
     }
     Err(best)
 }
@@ -98,8 +109,9 @@ fn find_grid(finder: &CornerFinder, wanted: [u32; 2]) -> Result<CornerGrid, Ches
     let corner_count = wanted[0] as usize * wanted[1] as usize;
     let mut grids = CornerGrid::find(&finder.candidates(), finder.levels());
     for grid in grids.iter_mut().filter(|g| !g.is_torn && 2 * g.cells.len() >= corner_count) {
+        grid.trim();
         if !grid.is_whole() || larger_first(grid.size()) != larger_first(wanted) {
-            grid.fill(finder);
+            grid.fill(finder, wanted);
         }
     }
     let fits = |g: &CornerGrid| larger_first(g.size()) == larger_first(wanted) && g.is_whole();
@@ -111,15 +123,18 @@ fn find_grid(finder: &CornerFinder, wanted: [u32; 2]) -> Result<CornerGrid, Ches
     grids.into_iter().find(fits).ok_or(ChessboardError::NotFound { corners, found, wanted })
 }
 
-/// The grid with its corners refined in the full picture; `None` when one of them gets lost there.
-fn refined(grid: &CornerGrid, scale: f64, full: &CornerFinder) -> Option<CornerGrid> {
+/// The grid with its corners refined in the full picture, or the place of one that cannot be.
+fn refined(grid: &CornerGrid, scale: f64, full: &CornerFinder) -> Result<CornerGrid, DVec2> {
     let mut out = CornerGrid::default();
     for (cell, px) in &grid.cells {
         let start = *px * scale + 0.5 * (scale - 1.0);
-        let radius_px = (REFINE_PART * scale * grid.spacing_px(*cell)).clamp(REFINE_PX[0], REFINE_PX[1]);
-        out.cells.insert(*cell, full.refine(start, radius_px)?);
+        let sigma_px = refine_sigma_px(scale * grid.spacing_px(*cell));
+        out.cells.insert(*cell, full.refine(start, sigma_px).ok_or(start)?);
     }
-    out.is_whole().then_some(out)
+    match out.bent(full) {
+        Some(px) => Err(px),
+        None => Ok(out),
+    }
 }
 
 /// The corners in the board's order.

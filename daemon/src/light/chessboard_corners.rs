@@ -3,16 +3,16 @@
 //! A corner of a chessboard is a saddle: after a blur, minus the determinant of the Hessian has a peak there and is zero along
 //! edges. On a ring around it, light and dark change four times, at two pairs of opposite directions, which are those of
 //! the edges (the ring test goes back to S. Bennett, J. Lasenby, "ChESS - quick and robust detection of chess-board
-//! features", Computer Vision and Image Understanding 118, 2014). Every edge points at the corner, so the sub-pixel place x
-//! solves sum w g g' (x - p) = 0 over the pixels p with gradients g (W. Förstner, E. Gülch, "A fast operator for detection and
-//! precise location of distinct points, corners and centres of circular features", ISPRS Intercommission Workshop, 1987).
+//! features", Computer Vision and Image Understanding 118, 2014). Two straight lines part the plane alike on both sides of
+//! their crossing, so blur of any width leaves the saddle point there: Newton's method on the blurred picture finds it (L.
+//! Lucchese, S. K. Mitra, "Using saddle points for subpixel feature detection in camera calibration targets", APCCAS 2002).
+//! For noise of sigma grey levels, a contrast c, a blur b of the picture and one of s here its error is 0.63 sigma / c
+//! (1 + b^2 / s^2) pixels along each axis.
 
 use super::field::Field;
 use glam::DVec2;
 use std::f64::consts::{PI, TAU};
 
-/// Blur before derivatives are taken, pixels: less lets the pixels' own grid bias the places, more drowns small squares.
-const GRADIENT_SIGMA_PX: f64 = 1.0;
 /// Blur before saddles are sought, pixels.
 const SADDLE_SIGMA_PX: f64 = 1.5;
 /// Least saddle response: a corner of 15 grey levels in a picture blurred by 2 px.
@@ -28,8 +28,17 @@ const MIN_CONTRAST: f32 = 10.0;
 const MAX_BEND_RAD: f64 = 0.45;
 /// Least angle between the two edges of a corner, radians: a square seen at 70 degrees.
 const MIN_SECTOR_RAD: f64 = 0.6;
+/// Window of the sub-pixel search, of its blur, and the least distance from the border at which it is tried, pixels.
+const WINDOW_SIGMAS: f64 = 4.0;
+const BORDER_PX: f64 = 4.0;
 /// Most candidates kept, the strongest: more than any board has, and few enough to pair.
 const MAX_CANDIDATES: usize = 4000;
+
+/// Blur of the sub-pixel search for corners some distance apart, pixels: wide for what the lens has blurred already, narrow
+/// enough to leave out the next corners and what bends or hides the board beyond.
+pub(super) fn refine_sigma_px(spacing_px: f64) -> f64 {
+    (spacing_px / 6.0).clamp(1.5, 2.0)
+}
 
 /// A place where two light and two dark sectors meet.
 #[derive(Debug, Clone, Copy)]
@@ -54,18 +63,21 @@ impl Corner {
 /// A picture made ready for corners.
 #[derive(Debug, Clone)]
 pub(super) struct CornerFinder {
-    /// Lightly blurred, for gradients.
-    fine: Field,
+    /// As it is.
+    picture: Field,
     /// Blurred, for saddles and rings.
     coarse: Field,
 }
 
 impl CornerFinder {
-    /// Blurs the picture as the stages need it.
-    pub fn new(picture: &Field) -> Self {
-        let fine = picture.blurred(GRADIENT_SIGMA_PX);
-        let rest = (SADDLE_SIGMA_PX * SADDLE_SIGMA_PX - GRADIENT_SIGMA_PX * GRADIENT_SIGMA_PX).sqrt();
-        Self { coarse: fine.blurred(rest), fine }
+    /// Blurs the picture.
+    pub fn new(picture: Field) -> Self {
+        Self { coarse: picture.blurred(SADDLE_SIGMA_PX), picture }
+    }
+
+    /// The picture as it is.
+    pub fn picture(&self) -> &Field {
+        &self.picture
     }
 
     /// The blurred picture that light and dark are judged on.
@@ -160,58 +172,66 @@ impl CornerFinder {
         is_crossing.then_some(Corner { px, edges_rad, is_light_first, contrast })
     }
 
-    /// The place near `start` that the gradients within `radius_px` point at; `None` when they point at none, or at one
-    /// farther than that.
-    pub fn refine(&self, start: DVec2, radius_px: f64) -> Option<DVec2> {
-        const MAX_ROUNDS: usize = 40;
+    /// The saddle point near `start` after a blur of `sigma_px`, less where the border is near; `None` when there is none
+    /// within `2 sigma_px`.
+    pub fn refine(&self, start: DVec2, sigma_px: f64) -> Option<DVec2> {
+        const MAX_ROUNDS: usize = 20;
         const ENOUGH_PX: f64 = 1e-4;
         let mut px = start;
         for _ in 0..MAX_ROUNDS {
-            // The derivatives reach one pixel further.
-            if !self.fine.holds(px.to_array(), radius_px + 1.0) {
+            if !self.picture.holds(px.to_array(), BORDER_PX) {
                 return None;
             }
-            let next = self.focus(px, radius_px)?;
-            let is_done = next.distance(px) < ENOUGH_PX;
-            px = next;
-            if px.distance(start) > radius_px {
+            let size = DVec2::new(self.picture.width as f64, self.picture.height as f64);
+            let room_px = px.min(size - 1.0 - px).min_element();
+            let step = self.newton_step(px, sigma_px.min(room_px / WINDOW_SIGMAS))?;
+            px += step.clamp_length_max(0.5 * sigma_px);
+            if px.distance(start) > 2.0 * sigma_px {
                 return None;
             }
-            if is_done {
+            if step.length() < ENOUGH_PX {
                 return Some(px);
             }
         }
         None
     }
 
-    /// One round of [`Self::refine`]: weights (1 - r^2)^2 fall to zero at the radius, so that no pixel enters abruptly.
-    fn focus(&self, centre: DVec2, radius_px: f64) -> Option<DVec2> {
-        let w = self.fine.width;
-        let scale = 1.0 / (radius_px * radius_px);
-        let (mut xx, mut xy, mut yy, mut right) = (0.0f64, 0.0f64, 0.0f64, DVec2::ZERO);
-        let (low, high) = ((centre - radius_px).ceil(), (centre + radius_px).floor());
-        for y in low.y as usize..=high.y as usize {
-            for x in low.x as usize..=high.x as usize {
-                let offset = DVec2::new(x as f64, y as f64) - centre;
-                let fall = 1.0 - offset.length_squared() * scale;
-                if fall <= 0.0 {
-                    continue;
-                }
-                let (v, i) = (&self.fine.values, y * w + x);
-                let g = DVec2::new(f64::from(v[i + 1] - v[i - 1]), f64::from(v[i + w] - v[i - w]));
-                let weight = fall * fall;
-                xx += weight * g.x * g.x;
-                xy += weight * g.x * g.y;
-                yy += weight * g.y * g.y;
-                right += weight * g.dot(offset) * g;
+    /// From a place to the zero of the gradient by the Hessian there, both of the picture after a Gaussian of `sigma_px`; `None`
+    /// at no saddle. The blur lies about the place itself, not about a pixel, so that the grid of pixels leaves no trace.
+    fn newton_step(&self, at: DVec2, sigma_px: f64) -> Option<DVec2> {
+        let reach = WINDOW_SIGMAS * sigma_px;
+        let [columns, rows] = [at.x, at.y].map(|c| (c - reach).ceil() as usize..(c + reach) as usize + 1);
+        // Offsets in sigma and the Gaussian at them, less its value at the window's border: pixels that enter with the next
+        // step come in at zero, so that steps shrink to nothing.
+        let outermost = libm::exp(-0.5 * WINDOW_SIGMAS * WINDOW_SIGMAS);
+        let weigh = |range: &std::ops::Range<usize>, centre: f64| -> Vec<(f64, f64)> {
+            let offset = |i: usize| (i as f64 - centre) / sigma_px;
+            range.clone().map(|i| (offset(i), libm::exp(-0.5 * offset(i) * offset(i)) - outermost)).collect()
+        };
+        let (across, down) = (weigh(&columns, at.x), weigh(&rows, at.y));
+        // A level in common takes away what the cut at the window's border would add.
+        let middle = f64::from(self.coarse.sample(at.to_array()));
+        let (mut x, mut y, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for (row, &(v, down)) in rows.zip(&down) {
+            let line = &self.picture.values[row * self.picture.width..][columns.clone()];
+            let (mut sum, mut sum_u, mut sum_uu) = (0.0, 0.0, 0.0);
+            for (&level, &(u, across)) in line.iter().zip(&across) {
+                let weighted = across * (f64::from(level) - middle);
+                sum += weighted;
+                sum_u += weighted * u;
+                sum_uu += weighted * (u * u - 1.0);
             }
+            x += down * sum_u;
+            y += down * v * sum;
+            xx += down * sum_uu;
+            xy += down * v * sum_u;
+            yy += down * (v * v - 1.0) * sum;
         }
         let determinant = xx * yy - xy * xy;
-        // Edges of one direction only leave the place free along them.
-        if determinant <= 1e-3 * (xx + yy) * (xx + yy) {
+        if !(determinant < 0.0) {
             return None;
         }
-        Some(centre + DVec2::new(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / determinant)
+        Some(-sigma_px / determinant * DVec2::new(yy * x - xy * y, xx * y - xy * x))
     }
 }
 

@@ -6,7 +6,7 @@
 //! distortion bend the grid as they like (growth from neighbours as in A. Geiger, F. Moosmann, Ö. Car, B. Schuster,
 //! "Automatic camera and range sensor calibration using a single shot", ICRA 2012).
 
-use super::chessboard_corners::{Corner, CornerFinder};
+use super::chessboard_corners::{Corner, CornerFinder, refine_sigma_px};
 use super::field::Field;
 use glam::DVec2;
 use std::collections::{BTreeMap, VecDeque};
@@ -16,6 +16,8 @@ use std::f64::consts::{PI, TAU};
 const MAX_TURN_RAD: f64 = 0.3;
 /// Largest ratio of the contrasts of neighbours.
 const MAX_CONTRAST_RATIO: f32 = 3.0;
+/// Largest ratio of a link's length to the median of its corner's: a square seen at 60 degrees, and perspective.
+const MAX_LENGTH_RATIO: f64 = 2.5;
 /// Least contrast across the line between two corners, of the weaker corner's.
 const MIN_EDGE_CONTRAST: f32 = 0.3;
 /// Largest deviation of a corner from the middle of its two neighbours, of their distance: perspective and lens.
@@ -36,7 +38,8 @@ type Links = [Option<(usize, usize)>; 4];
 impl CornerGrid {
     /// All grids of two or more linked corners, the largest first.
     pub fn find(corners: &[Corner], levels: &Field) -> Vec<Self> {
-        let links = mutual(&(0..corners.len()).map(|i| links_of(corners, i, levels)).collect::<Vec<_>>());
+        let links: Vec<Links> = (0..corners.len()).map(|i| links_of(corners, i, levels)).collect();
+        let links = alike(corners, &mutual(&links));
         let mut is_taken = vec![false; corners.len()];
         let mut grids = Vec::new();
         for seed in 0..corners.len() {
@@ -77,6 +80,36 @@ impl CornerGrid {
         })
     }
 
+    /// A corner whose line of five bends as no lens and no perspective does: the fourth difference of places is far from zero,
+    /// and from what noise makes it elsewhere in the grid. Something lies over it.
+    pub fn bent(&self, finder: &CornerFinder) -> Option<DVec2> {
+        /// Differences that pass: in any case, pixels and of the spacing (perspective at a tilt of 50 degrees close by), and, times
+        /// the contrast, of the median (seven standard deviations of noise).
+        const ALWAYS_PX: f64 = 1.0;
+        const OF_SPACING: f64 = 0.015;
+        const OF_MEDIAN: f64 = 6.0;
+        let contrast = |px: &DVec2| finder.corner_at(*px).map_or(0.0, |corner| f64::from(corner.contrast));
+        let contrasts: BTreeMap<[i32; 2], f64> = self.cells.iter().map(|(cell, px)| (*cell, contrast(px))).collect();
+        let mut noise: Vec<f64> = Vec::new();
+        let mut large: Vec<(f64, DVec2)> = Vec::new();
+        for (cell, px) in &self.cells {
+            for step in [[1, 0], [0, 1]] {
+                let around = [-2, -1, 1, 2].map(|n| self.at(*cell, step, n));
+                if let [Some(a), Some(b), Some(c), Some(d)] = around {
+                    let difference_px = (a + d - 4.0 * (b + c) + 6.0 * *px).length();
+                    noise.push(difference_px * contrasts[cell]);
+                    if difference_px > ALWAYS_PX + OF_SPACING * 0.5 * b.distance(c) {
+                        large.push((difference_px * contrasts[cell], *px));
+                    }
+                }
+            }
+        }
+        noise.sort_by(f64::total_cmp);
+        let median = noise.get(noise.len() / 2)?;
+        let worst = large.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+        worst.filter(|(difference, _)| *difference > OF_MEDIAN * median).map(|(_, px)| px)
+    }
+
     fn at(&self, cell: [i32; 2], step: [i32; 2], count: i32) -> Option<DVec2> {
         self.cells.get(&[cell[0] + count * step[0], cell[1] + count * step[1]]).copied()
     }
@@ -88,35 +121,59 @@ impl CornerGrid {
         distances.fold(f64::INFINITY, f64::min)
     }
 
-    /// Looks for corners at the places inside and next to the grid that have none: noise or a scratch hides some.
-    pub fn fill(&mut self, finder: &CornerFinder) {
-        /// Rounds without bound would let the grid creep over a patterned wall.
-        const MAX_ROUNDS: usize = 8;
-        for _ in 0..MAX_ROUNDS {
+    /// Takes off outermost lines that hold corners in less than a third of their places: marks on the wall that happen to
+    /// continue the board.
+    pub fn trim(&mut self) {
+        loop {
+            let (low, high) = self.bounds();
+            let size = self.size();
+            let lines = [0, 1].into_iter().flat_map(|d: usize| [(d, low[d]), (d, high[d])]);
+            let count = |d: usize, at: i32| self.cells.keys().filter(|cell| cell[d] == at).count();
+            let Some((d, at)) = lines.into_iter().find(|&(d, at)| 3 * count(d, at) < size[1 - d] as usize) else {
+                return;
+            };
+            self.cells.retain(|cell, _| cell[d] != at);
+        }
+    }
+
+    /// Looks for corners at the places inside and next to the grid that have none, as long as it stays within the wanted columns
+    /// and rows, either way: noise or a scratch hides some.
+    pub fn fill(&mut self, finder: &CornerFinder, wanted: [u32; 2]) {
+        loop {
             let (low, high) = self.bounds();
             let mut found = Vec::new();
             for row in low[1] - 1..=high[1] + 1 {
                 for column in low[0] - 1..=high[0] + 1 {
-                    let cell = [column, row];
-                    if !self.cells.contains_key(&cell) {
-                        found.extend(self.look_at(cell, finder).map(|px| (cell, px)));
+                    if let Some(px) = self.look_at([column, row], finder) {
+                        found.push(([column, row], px));
                     }
                 }
             }
-            if found.is_empty() {
-                return;
-            }
-            self.cells.extend(found);
+            found.retain(|(cell, _)| self.stays_within(*cell, wanted));
+            // One at a time: each changes what stays within.
+            let Some((cell, px)) = found.into_iter().next() else { return };
+            self.cells.insert(cell, px);
         }
     }
 
-    /// The corner at an empty place, where its neighbours expect it.
+    fn stays_within(&self, cell: [i32; 2], wanted: [u32; 2]) -> bool {
+        let (low, high) = self.bounds();
+        let [a, b] = [0, 1].map(|d: usize| (high[d].max(cell[d]) - low[d].min(cell[d]) + 1) as u32);
+        a.max(b) <= wanted[0].max(wanted[1]) && a.min(b) <= wanted[0].min(wanted[1])
+    }
+
+    /// The corner at an empty place, where its neighbours expect it and the edges from them lead to.
     fn look_at(&self, cell: [i32; 2], finder: &CornerFinder) -> Option<DVec2> {
+        if self.cells.contains_key(&cell) {
+            return None;
+        }
         let mut guesses = Vec::new();
+        let mut neighbours = Vec::new();
         let mut spacing_px = f64::INFINITY;
         for step in [[1, 0], [-1, 0], [0, 1], [0, -1]] {
             if let (Some(a), Some(b)) = (self.at(cell, step, 1), self.at(cell, step, 2)) {
                 guesses.push(2.0 * a - b);
+                neighbours.push(a);
                 spacing_px = spacing_px.min(a.distance(b));
             }
         }
@@ -124,43 +181,42 @@ impl CornerGrid {
             return None;
         }
         let expected = guesses.iter().sum::<DVec2>() / guesses.len() as f64;
-        let px = finder.refine(expected, (0.4 * spacing_px).max(3.0))?;
-        finder.corner_at(px)?;
-        (px.distance(expected) < 2.0 * MAX_UNEVENNESS * spacing_px).then_some(px)
+        let px = finder.refine(expected, refine_sigma_px(spacing_px))?;
+        let corner = finder.corner_at(px)?;
+        let is_linked = |a: &DVec2| finder.corner_at(*a).is_some_and(|n| link(&corner, &n, finder.levels()).is_some());
+        let is_near = px.distance(expected) < 2.0 * MAX_UNEVENNESS * spacing_px;
+        (is_near && neighbours.iter().all(is_linked)).then_some(px)
     }
 }
 
 /// For every edge of corner `i` the nearest corner that it can lead to.
 fn links_of(corners: &[Corner], i: usize, levels: &Field) -> Links {
     let from = &corners[i];
-    let mut order: Vec<(f64, usize, usize)> = Vec::new();
-    for (j, to) in corners.iter().enumerate() {
+    let ahead = |(j, to): (usize, &Corner)| {
         let line = to.px - from.px;
-        if j == i {
-            continue;
-        }
-        if let Some(k) = edge_along(from, line) {
-            order.push((line.length_squared(), j, k));
-        }
-    }
+        let k = if j == i { None } else { edge_along(from, line) };
+        k.map(|k| (line.length_squared(), j, k))
+    };
+    let mut order: Vec<(f64, usize, usize)> = corners.iter().enumerate().filter_map(ahead).collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let mut links = [None; 4];
     for (_, j, k) in order {
-        if links[k].is_some() {
-            continue;
-        }
-        let to = &corners[j];
-        let ratio = to.contrast / from.contrast;
-        let Some(back) = edge_along(to, from.px - to.px) else { continue };
-        // Seen from the other end, light is on the other side.
-        if from.is_light_after(k) != to.is_light_after(back)
-            && (1.0 / MAX_CONTRAST_RATIO..=MAX_CONTRAST_RATIO).contains(&ratio)
-            && is_edge(from, to, from.is_light_after(k), levels)
-        {
-            links[k] = Some((j, back));
+        if links[k].is_none() {
+            links[k] = link(from, &corners[j], levels).map(|[_, back]| (j, back));
         }
     }
     links
+}
+
+/// The edges, one of each corner, that form one line between the two.
+fn link(from: &Corner, to: &Corner, levels: &Field) -> Option<[usize; 2]> {
+    let (k, back) = (edge_along(from, to.px - from.px)?, edge_along(to, from.px - to.px)?);
+    let ratio = to.contrast / from.contrast;
+    // Seen from the other end, light is on the other side.
+    let is_line = from.is_light_after(k) != to.is_light_after(back)
+        && (1.0 / MAX_CONTRAST_RATIO..=MAX_CONTRAST_RATIO).contains(&ratio)
+        && is_edge(from, to, from.is_light_after(k), levels);
+    is_line.then_some([k, back])
 }
 
 /// Which edge of a corner runs along a direction.
@@ -191,6 +247,20 @@ fn is_edge(from: &Corner, to: &Corner, is_light_after: bool, levels: &Field) -> 
 fn mutual(links: &[Links]) -> Vec<Links> {
     let both = |i: usize, k: usize| links[i][k].filter(|&(j, back)| links[j][back] == Some((i, k)));
     (0..links.len()).map(|i| std::array::from_fn(|k| both(i, k))).collect()
+}
+
+/// Only the links that are no much longer than the others of both their corners: others lead across the wall.
+fn alike(corners: &[Corner], links: &[Links]) -> Vec<Links> {
+    let length = |i: usize, j: usize| corners[i].px.distance(corners[j].px);
+    let median = |i: usize| {
+        let mut lengths: Vec<f64> = links[i].iter().flatten().map(|&(j, _)| length(i, j)).collect();
+        lengths.sort_by(f64::total_cmp);
+        lengths.get(lengths.len() / 2).copied().unwrap_or(0.0)
+    };
+    let medians: Vec<f64> = (0..links.len()).map(median).collect();
+    let is_alike = |i: usize, j: usize| length(i, j) <= MAX_LENGTH_RATIO * medians[i].min(medians[j]);
+    let keep = |(i, of): (usize, &Links)| of.map(|link| link.filter(|&(j, _)| is_alike(i, j)));
+    links.iter().enumerate().map(keep).collect()
 }
 
 /// Gives places to all corners linked with `seed`, at the origin.

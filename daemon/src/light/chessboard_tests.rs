@@ -115,7 +115,7 @@ impl Shot {
     }
 
     pub fn picture(&self) -> GreyPicture {
-        const SIDE: usize = 8;
+        const SAMPLES: u8 = 64;
         let (w, h) = (self.camera.width_px as usize, self.camera.height_px as usize);
         let board_from_camera = {
             let pose = self.camera_from_board();
@@ -135,13 +135,13 @@ impl Shot {
             let at = |dx: usize, dy: usize| places[(y + dy) * (w + 1) + x + dx];
             let [a, b, c, d] = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
             let cells = [a, b, c, d].map(DVec2::floor);
-            let sample = |n: usize| {
-                let s = |k: usize| (k as f64 + 0.5) / SIDE as f64;
-                let (u, v) = (s(n % SIDE), s(n / SIDE));
+            // Hammersley's points: all columns and rows differ, so upright edges are placed to a 64th of a pixel too.
+            let sample = |n: u8| {
+                let [u, v] = [n, n.reverse_bits() >> 2].map(|k| (f64::from(k) + 0.5) / f64::from(SAMPLES));
                 self.print(a.lerp(b, u).lerp(c.lerp(d, u), v)).unwrap_or(wall[i])
             };
             let is_flat = cells.iter().all(|cell| *cell == cells[0]);
-            if is_flat { sample(0) } else { (0..SIDE * SIDE).map(sample).sum::<f64>() / (SIDE * SIDE) as f64 }
+            if is_flat { sample(0) } else { (0..SAMPLES).map(sample).sum::<f64>() / f64::from(SAMPLES) }
         };
         let light = |i: usize| self.left_light + (1.0 - self.left_light) * (i % w) as f64 / w as f64;
         let values = (0..w * h).map(|i| (level(i) * light(i)) as f32).collect();
@@ -215,5 +215,181 @@ fn corners_are_found_to_a_fraction_of_a_pixel() {
         let rms_px = rms(errors);
         println!("noise {noise_levels} levels, blur {blur_px} px: rms {rms_px:.4} px");
         assert!(rms_px < bound_px, "noise {noise_levels}, blur {blur_px}: {rms_px} px");
+    }
+}
+
+/// Puts a rectangle of one level over a picture.
+fn cover(picture: &mut GreyPicture, [x, y]: [u32; 2], [dx, dy]: [u32; 2], level: u8) {
+    let w = picture.width_px as usize;
+    for row in y..(y + dy).min(picture.height_px) {
+        let end = ((x + dx) as usize).min(w);
+        picture.pixels[row as usize * w..][x as usize..end].fill(level);
+    }
+}
+
+#[test]
+fn small_large_tilted_blurred_unlit_and_cluttered_boards_are_found() {
+    let tilt = 50f64.to_radians();
+    let case = |name: &str, bound_px: f64, shot: Shot| (name.to_owned(), bound_px, shot);
+    let far = |z_mm: f64| DVec3::new(12.0, -9.0, z_mm);
+    let hard = Shot { noise_levels: 4.0, blur_px: 2.0, middle_mm: far(500.0), ..Shot::default() };
+    let large = Board { columns: 5, rows: 3, square_mm: 60.0 };
+    let mut cases = vec![
+        case("10 px", 0.1, Shot { middle_mm: far(2000.0), blur_px: 0.7, noise_levels: 2.0, ..Shot::default() }),
+        case("100 px", 0.05, Shot { board: large, blur_px: 0.7, noise_levels: 2.0, ..Shot::default() }),
+        case("100 px, hard", 0.2, Shot { board: large, ..hard.clone() }),
+        case("a quarter of the light", 0.2, Shot { left_light: 0.25, ..hard.clone() }),
+        case("clutter", 0.2, Shot { is_cluttered: true, ..hard.clone() }),
+        case("square", 0.2, Shot { board: Board { columns: 6, rows: 6, square_mm: 20.0 }, ..hard.clone() }),
+    ];
+    for turn in [0.0, 0.4, std::f64::consts::FRAC_PI_4, 2.0] {
+        for (x, y) in [(tilt, 0.0), (0.0, -tilt), (0.6, 0.6)] {
+            let turns_rad = [x, y, turn];
+            let shot = Shot { turns_rad, middle_mm: far(650.0), blur_px: 1.0, noise_levels: 4.0, ..Shot::default() };
+            cases.push(case(&format!("turned {turns_rad:.2?}"), 0.12, shot));
+        }
+    }
+    for (name, bound_px, shot) in cases {
+        let rms_px = rms(shot.errors_px());
+        println!("{name}: rms {rms_px:.3} px");
+        assert!(rms_px < bound_px, "{name}: {rms_px} px");
+    }
+}
+
+#[test]
+fn the_order_is_the_stated_one_however_the_board_is_turned() {
+    for (columns, rows) in [(7, 4), (5, 4), (5, 3), (4, 4), (5, 5)] {
+        for step in 0..12 {
+            let shot = Shot {
+                board: Board { columns, rows, square_mm: 20.0 },
+                // Off the diagonals, where two orders are nearly alike.
+                turns_rad: [0.3, -0.2, 0.1 + std::f64::consts::TAU * f64::from(step) / 12.0],
+                is_first_dark: step % 2 == 0,
+                ..Shot::default()
+            };
+            let found = find_chessboard(&shot.picture(), &shot.board).unwrap();
+            let found: Vec<DVec2> = found.into_iter().map(DVec2::from).collect();
+            let (truth, n) = (shot.truth(), found.len());
+            let name = format!("{columns} x {rows}, step {step}");
+            // A set of places, and no mirror image.
+            for p in &truth {
+                assert!(found.iter().any(|f| f.distance(*p) < 0.1), "{name}");
+            }
+            let (along, down) = (found[1] - found[0], found[columns as usize] - found[0]);
+            assert!(along.perp_dot(down) > 0.0, "{name} is mirrored");
+            let reversed: Vec<DVec2> = truth.iter().rev().copied().collect();
+            let is_like = |order: &[DVec2]| order.iter().zip(&found).all(|(a, b)| a.distance(*b) < 0.1);
+            if (columns + rows) % 2 == 1 {
+                assert!(is_like(if shot.is_first_dark { &truth } else { &reversed }), "{name}");
+            } else {
+                let diagonal = found[n - 1] - found[0];
+                assert!(diagonal.x + diagonal.y > 0.0, "{name}");
+                assert!(columns == rows || is_like(&truth) || is_like(&reversed), "{name}");
+                // Squares before both ends of a diagonal are alike, and of an odd board's diagonals one has dark ones.
+                let is_along = is_like(&truth) || is_like(&reversed);
+                assert!((columns, rows) != (5, 5) || is_along == shot.is_first_dark, "{name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_no_whole_board_is_an_error_that_says_what_was_found() {
+    let shot = Shot { is_cluttered: true, noise_levels: 2.0, blur_px: 0.7, ..Shot::default() };
+    let board = shot.board;
+    let error = |picture: &GreyPicture, board: Board| find_chessboard(picture, &board).unwrap_err();
+    let empty = Shot { middle_mm: DVec3::new(5000.0, 0.0, 600.0), ..shot.clone() }.picture();
+    let none = error(&empty, board);
+    assert!(matches!(none, ChessboardError::NotFound { corners: 0..12, wanted: [9, 6], .. }), "{none}");
+    let whole = shot.picture();
+    let ChessboardError::NotFound { corners, found, .. } = error(&whole, Board { columns: 8, ..board }) else {
+        panic!()
+    };
+    assert_eq!((corners, found), (54, [9, 6]));
+    // The last column under a sheet of any grey.
+    for level in [0, 30, 110, 190, 255] {
+        let mut picture = whole.clone();
+        let last = shot.truth()[8].x as u32;
+        cover(&mut picture, [last - 6, 0], [200, 480], level);
+        let ChessboardError::NotFound { corners, found, .. } = error(&picture, board) else { panic!() };
+        assert_eq!((corners, found), (48, [8, 6]), "level {level}");
+    }
+    let text = none.to_string();
+    assert!(text.contains("not the board's 9 x 6") && text.contains("show the whole board"), "{text}");
+    let bad = error(&whole, Board { rows: 1, ..board }).to_string();
+    assert!(bad.starts_with("board.rows: 1 inner corners"), "{bad}");
+    for (w, h) in [(0, 0), (1, 1), (3, 200), (200, 2), (12, 12)] {
+        assert!(find_chessboard(&GreyPicture::filled(w, h, 7), &board).is_err());
+    }
+}
+
+#[test]
+fn two_boards_are_an_error_unless_only_one_has_the_size() {
+    let small = Board { columns: 5, rows: 4, square_mm: 14.0 };
+    let at = |x_mm: f64, board: Board| Shot {
+        board,
+        middle_mm: DVec3::new(x_mm, 0.0, 600.0),
+        noise_levels: 2.0,
+        ..Shot::default()
+    };
+    let beside = |left: &Shot, right: &Shot| {
+        let (mut picture, other) = (left.picture(), right.picture());
+        for (row, from) in picture.pixels.chunks_exact_mut(640).zip(other.pixels.chunks_exact(640)) {
+            row[320..].copy_from_slice(&from[320..]);
+        }
+        picture
+    };
+    let two = beside(&at(-90.0, small), &at(90.0, small));
+    let error = find_chessboard(&two, &small).unwrap_err();
+    assert_eq!(error, ChessboardError::Several { count: 2, wanted: [5, 4] });
+    let other = Board { rows: 3, ..small };
+    let right = at(90.0, other);
+    let found = find_chessboard(&beside(&at(-90.0, small), &right), &other).unwrap();
+    assert!(rms(found.iter().zip(right.truth()).map(|(f, t)| DVec2::from(*f).distance(t))) < 0.1);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn an_answer_is_right_or_an_error(
+        turns in prop::array::uniform3(-0.8f64..0.8), z_mm in 450.0f64..1800.0, seed in any::<u64>(),
+        blur_px in 0.0f64..2.0, noise_levels in 0.0f64..4.0, left_light in 0.4f64..1.0,
+        (x, y, dx, dy, level) in (0u32..640, 0u32..480, 0u32..120, 0u32..120, any::<u8>()), is_covered in any::<bool>()
+    ) {
+        // What is left of a corner under a sheet's border shows up against noise no larger than it.
+        let clear = if is_covered { 0.4 } else { 1.0 };
+        let shot = Shot {
+            turns_rad: turns,
+            middle_mm: DVec3::new(0.0, 0.0, z_mm),
+            seed,
+            blur_px: clear * blur_px,
+            noise_levels: clear * noise_levels,
+            left_light,
+            is_cluttered: true,
+            ..Shot::default()
+        };
+        prop_assume!(shot.is_in_view(25.0));
+        let mut picture = shot.picture();
+        if is_covered {
+            cover(&mut picture, [x, y], [dx, dy], level);
+        }
+        let truth = shot.truth();
+        let (low, high) = (DVec2::new(f64::from(x), f64::from(y)), DVec2::new(f64::from(x + dx), f64::from(y + dy)));
+        let is_hidden = |p: &DVec2| is_covered && (*p - low).min_element() > 3.0 && (high - *p).min_element() > 4.0;
+        match find_chessboard(&picture, &shot.board) {
+            Ok(found) => {
+                prop_assert!(!truth.iter().any(is_hidden));
+                let reversed = DVec2::from(found[0]).distance(truth[0]) > DVec2::from(found[0]).distance(truth[53]);
+                for (i, f) in found.iter().enumerate() {
+                    let t = truth[if reversed { 53 - i } else { i }];
+                    let bound_px = 1.0 + 0.02 * shot.spacings_px().1;
+                    prop_assert!(DVec2::from(*f).distance(t) < bound_px, "{} px at {t}", DVec2::from(*f).distance(t));
+                }
+            }
+            Err(e) => {
+                let is_small = shot.spacings_px().0 < 9.0;
+                prop_assert!(is_covered || is_small, "{e}");
+            }
+        }
     }
 }

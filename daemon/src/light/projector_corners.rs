@@ -21,6 +21,8 @@ const RADIUS_PART: f64 = 0.9;
 const RADIUS_PX: [f64; 2] = [5.0, 40.0];
 /// More pixels than this are thinned out evenly.
 const MAX_PIXELS: usize = 1500;
+/// Largest median distance from the homography, of the window's radius in the projector.
+const MAX_MEDIAN: f64 = 0.15;
 /// Minimal samples drawn: with half of the pixels wrong, 64 samples of four all have a wrong one in 2 % of the cases.
 const SAMPLES: u64 = 64;
 
@@ -130,6 +132,11 @@ fn at_corner(from: &[DVec2], to: &[DVec2], radius_px: f64) -> Result<DVec2, Unre
     let (first, median2) = least_median(from, to).ok_or(Unread::Contradictory)?;
     // Rousseeuw's scale, and the finest difference that codes tell.
     let limit_px = (2.5 * 1.4826 * median2.sqrt()).max(0.05);
+    // What half of the pixels miss by a good part of the whole window is no agreement.
+    let reach_px = apply_homography(&first, DVec2::X * radius_px).distance(apply_homography(&first, DVec2::ZERO));
+    if !(median2.sqrt() < MAX_MEDIAN * reach_px) {
+        return Err(Unread::Contradictory);
+    }
     let mut homography = first;
     for _ in 0..3 {
         let is_near = |(p, q): &(&DVec2, &DVec2)| apply_homography(&homography, **p).distance(**q) <= limit_px;
