@@ -210,27 +210,17 @@ impl Calibrate {
         let bar = bar(folders.len() as u64, "read views");
         for folder in &folders {
             bar.inc(1);
-            let given =
-                known.as_mut().map(|views| views.iter().position(|v| v.name == name(folder)).map(|i| views.remove(i)));
-            // Folders that the file of corners does not name are no views.
-            if given == Some(None) {
-                continue;
-            }
+            let given = match &mut known {
+                // Folders that the file of corners does not name are no views.
+                Some(views) => match views.iter().position(|v| v.name == name(folder)) {
+                    Some(at) => Some(views.swap_remove(at)),
+                    None => continue,
+                },
+                None => None,
+            };
             let raw = RawFolder::read(&self.sequence_of(folder))?;
-            let sizes_px = [camera_size_px(folder, &raw)?, [raw.sequence.width_px, raw.sequence.height_px]];
-            let all = found.get_or_insert_with(|| Views {
-                views: Vec::new(),
-                left_out: Vec::new(),
-                camera_size_px: sizes_px[0],
-                projector_size_px: sizes_px[1],
-            });
-            if [all.camera_size_px, all.projector_size_px] != sizes_px {
-                let [[w, h], [u, v]] = sizes_px;
-                let ([cw, ch], [pu, pv]) = (all.camera_size_px, all.projector_size_px);
-                let place = folder.display();
-                bail!("{place}: pictures {w} x {h} and patterns {u} x {v}, but before {cw} x {ch} and {pu} x {pv}");
-            }
-            let view = match given.flatten() {
+            let all = Views::with_sizes(&mut found, folder, &raw)?;
+            let view = match given {
                 Some(view) => decode_board_view(folder, &raw, view),
                 None => read_board_view(folder, &raw, board),
             };
@@ -268,11 +258,24 @@ fn name(folder: &Path) -> String {
     folder.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
 }
 
-fn camera_size_px(folder: &Path, raw: &RawFolder) -> Result<[u32; 2]> {
-    let names = raw.names()?;
-    let first = names.first().with_context(|| format!("{}: the sequence has no patterns", folder.display()))?;
-    let picture = read_picture(&folder.join(first))?;
-    Ok([picture.width_px, picture.height_px])
+impl Views {
+    /// The views so far, after a check that the pictures and patterns of one more are as large as those before.
+    fn with_sizes<'a>(found: &'a mut Option<Self>, folder: &Path, raw: &RawFolder) -> Result<&'a mut Self> {
+        let names = raw.names()?;
+        let first = names.first().with_context(|| format!("{}: the sequence has no patterns", folder.display()))?;
+        let picture = read_picture(&folder.join(first))?;
+        let camera_size_px = [picture.width_px, picture.height_px];
+        let projector_size_px = [raw.sequence.width_px, raw.sequence.height_px];
+        let new = Self { views: Vec::new(), left_out: Vec::new(), camera_size_px, projector_size_px };
+        let all = found.get_or_insert(new);
+        if [all.camera_size_px, all.projector_size_px] != [camera_size_px, projector_size_px] {
+            let ([w, h], [u, v]) = (camera_size_px, projector_size_px);
+            let ([cw, ch], [pu, pv]) = (all.camera_size_px, all.projector_size_px);
+            let place = folder.display();
+            bail!("{place}: pictures {w} x {h} and patterns {u} x {v}, but before {cw} x {ch} and {pu} x {pv}");
+        }
+        Ok(all)
+    }
 }
 
 /// The refusal, with the views that could not be read.

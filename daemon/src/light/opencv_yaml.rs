@@ -50,8 +50,7 @@ impl<'a> OpencvYaml<'a> {
         for (index, line) in text.split_inclusive('\n').enumerate() {
             let end = start + line.len();
             let bare = line.trim_end();
-            let goes_on =
-                bare.is_empty() || bare.starts_with([' ', '\t']) || bare.starts_with("- ") || bare == "-";
+            let goes_on = bare.is_empty() || bare.starts_with([' ', '\t']) || bare.starts_with("- ") || bare == "-";
             let is_mark = bare.starts_with(['%', '#']) || bare.starts_with("---") || bare == "...";
             if goes_on {
                 if let Some(last) = entries.last_mut() {

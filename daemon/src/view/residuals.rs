@@ -55,7 +55,13 @@ pub fn residual_picture(
 
 fn draw<'a>(root: &Area<'a>, devices: &[Device; 2], views: &[ViewResiduals]) -> DrawResult<'a> {
     root.fill(&WHITE)?;
-    text(root, "Reprojection errors: measured minus projected", (COLUMNS_PX[0], 34), 24, HPos::Left)?;
+    text(
+        root,
+        "Reprojection errors: measured minus projected; crosses are not used",
+        (COLUMNS_PX[0], 34),
+        24,
+        HPos::Left,
+    )?;
     for (device, left) in devices.iter().zip(COLUMNS_PX) {
         draw_arrows(root, device, [left, ROWS_PX[0]])?;
         draw_scatter(root, device, [left, ROWS_PX[1]])?;
@@ -161,7 +167,7 @@ fn nice(value: f64) -> f64 {
 fn colour(view: usize, views: usize) -> HSLColor {
     let turns = view as f64 * 0.618_033_988_749_895;
     let hue = if views > 12 { turns.fract() } else { view as f64 / views.max(1) as f64 };
-    HSLColor(hue, 0.75, if view % 2 == 0 { 0.42 } else { 0.55 })
+    HSLColor(hue, 0.75, if view.is_multiple_of(2) { 0.42 } else { 0.55 })
 }
 
 fn draw_cross<'a>(root: &Area<'a>, (x, y): (i32, i32), colour: &HSLColor) -> DrawResult<'a> {

@@ -60,12 +60,15 @@ pub(super) fn whitening(covariance: &[[f64; 4]; 4]) -> Option<Whitening> {
     let floored = Mat::from_fn(4, 4, |i, j| covariance[i][j] + if i == j { LEAST_PX * LEAST_PX } else { 0.0 });
     let factor = floored.llt(Side::Lower).ok()?;
     let l = factor.L();
-    let mut inverse = [[0.0; 4]; 4];
-    for column in 0..4 {
-        for row in column..4 {
-            let sum: f64 = (column..row).map(|k| l[(row, k)] * inverse[k][column]).sum();
-            inverse[row][column] = (if row == column { 1.0 } else { 0.0 } - sum) / l[(row, row)];
+    let mut inverse: Whitening = [[0.0; 4]; 4];
+    // Row by row: L inverse = identity.
+    for row in 0..4 {
+        let mut line = [0.0; 4];
+        line[row] = 1.0;
+        for (k, above) in inverse.iter().enumerate().take(row) {
+            line.iter_mut().zip(above).for_each(|(v, a)| *v -= l[(row, k)] * a);
         }
+        inverse[row] = line.map(|v| v / l[(row, row)]);
     }
     inverse.iter().flatten().all(|v| v.is_finite()).then_some(inverse)
 }

@@ -108,18 +108,12 @@ pub(super) fn report(
     noise_px2: &[[f64; 4]; 4],
 ) -> Result<Calibrated, CalibrateError> {
     let (covariance, condition) = shared_covariance(bundle).ok_or(CalibrateError::Singular)?;
-    let values = values(&bundle.rig);
-    let parameters = bundle.free.iter().enumerate().map(|(i, &at)| ParameterReport {
-        name: name(at),
-        value: values[at],
-        standard_error: covariance[(i, i)].sqrt(),
-    });
     let views: Vec<ViewReport> = bundle.views.iter().zip(names).map(|(v, name)| view_report(bundle, v, name)).collect();
     let errors = bundle.views.iter().flat_map(|v| v.corners.iter().map(|c| used_errors(bundle, v, c)));
     let (camera, projector): (Vec<_>, Vec<_>) = errors.unzip();
-    let mut point_errors = point_errors(bundle, &covariance);
-    point_errors.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let largest = |of: fn(&(f64, f64)) -> f64| point_errors.iter().map(of).fold(f64::NAN, f64::max);
+    let point_errors = point_errors(bundle, &covariance);
+    let mut point_errors_mm: Vec<f64> = point_errors.iter().map(|e| e.0).collect();
+    point_errors_mm.sort_unstable_by(f64::total_cmp);
     let report = CalibrationReport {
         camera_rms_px: rms(&camera),
         projector_rms_px: rms(&projector),
@@ -127,11 +121,11 @@ pub(super) fn report(
         camera_rejected: views.iter().map(|v| v.camera_rejected).sum(),
         projector_rejected: views.iter().map(|v| v.projector_rejected).sum(),
         coverage,
-        point_standard_error_median_mm: point_errors.get(point_errors.len() / 2).map_or(f64::NAN, |e| e.0),
-        point_standard_error_largest_mm: largest(|e| e.0),
-        point_standard_error_largest_share: largest(|e| e.1),
+        point_standard_error_median_mm: point_errors_mm.get(point_errors_mm.len() / 2).copied().unwrap_or(f64::NAN),
+        point_standard_error_largest_mm: point_errors_mm.last().copied().unwrap_or(f64::NAN),
+        point_standard_error_largest_share: point_errors.iter().map(|e| e.1).fold(f64::NAN, f64::max),
         condition,
-        parameters: parameters.collect(),
+        parameters: parameter_reports(bundle, &covariance),
         views,
     };
     let n = bundle.free.len();
@@ -141,6 +135,16 @@ pub(super) fn report(
         covariance: (0..n).map(|i| (0..n).map(|j| covariance[(i, j)]).collect()).collect(),
         residuals: bundle.views.iter().zip(names).map(|(v, name)| view_residuals(bundle, v, name)).collect(),
     })
+}
+
+fn parameter_reports(bundle: &Bundle, covariance: &Mat<f64>) -> Vec<ParameterReport> {
+    let values = values(&bundle.rig);
+    let report = |(i, &at): (usize, &usize)| ParameterReport {
+        name: name(at),
+        value: values[at],
+        standard_error: covariance[(i, i)].sqrt(),
+    };
+    bundle.free.iter().enumerate().map(report).collect()
 }
 
 /// (J'J)^-1 of the whitened errors, poses marginal, and the condition number of its inverse scaled to a unit diagonal.
