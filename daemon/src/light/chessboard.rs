@@ -153,7 +153,8 @@ fn ordered(grid: &CornerGrid, board: &Board, levels: &Field) -> Vec<[f64; 2]> {
     };
     let order =
         |turn: usize| -> Vec<DVec2> { (0..rows * columns).map(|i| turned(turn, i % columns, i / columns)).collect() };
-    let fits = |turn: &usize| (if turn % 2 == 0 { [columns, rows] } else { [rows, columns] }) == [width, height];
+    let fits =
+        |turn: &usize| (if turn.is_multiple_of(2) { [columns, rows] } else { [rows, columns] }) == [width, height];
     let rank = |corners: &[DVec2]| {
         let diagonal = corners[columns * rows - 1] - corners[0];
         (is_first_dark(corners, columns, levels), diagonal.x + diagonal.y)

@@ -56,7 +56,7 @@ pub(super) struct Corner {
 impl Corner {
     /// Whether the sector after edge `k` is light.
     pub fn is_light_after(&self, k: usize) -> bool {
-        self.is_light_first == (k % 2 == 0)
+        self.is_light_first == k.is_multiple_of(2)
     }
 }
 
@@ -228,7 +228,7 @@ impl CornerFinder {
             yy += down * (v * v - 1.0) * sum;
         }
         let determinant = xx * yy - xy * xy;
-        if !(determinant < 0.0) {
+        if determinant.is_nan() || determinant >= 0.0 {
             return None;
         }
         Some(-sigma_px / determinant * DVec2::new(yy * x - xy * y, xx * y - xy * x))

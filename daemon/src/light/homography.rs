@@ -60,8 +60,7 @@ fn solve(mut m: [[f64; 9]; 8], size: f64) -> Option<[f64; 8]> {
         let pivot = (column..8).max_by(|&a, &b| m[a][column].abs().total_cmp(&m[b][column].abs()))?;
         m.swap(column, pivot);
         let top = m[column];
-        // Not a number fails here too.
-        if !(top[column].abs() > 1e-12 * size) {
+        if top[column].is_nan() || top[column].abs() <= 1e-12 * size {
             return None;
         }
         for line in &mut m[column + 1..] {

@@ -134,7 +134,7 @@ fn at_corner(from: &[DVec2], to: &[DVec2], radius_px: f64) -> Result<DVec2, Unre
     let limit_px = (2.5 * 1.4826 * median2.sqrt()).max(0.05);
     // What half of the pixels miss by a good part of the whole window is no agreement.
     let reach_px = apply_homography(&first, DVec2::X * radius_px).distance(apply_homography(&first, DVec2::ZERO));
-    if !(median2.sqrt() < MAX_MEDIAN * reach_px) {
+    if reach_px.is_nan() || median2.sqrt() >= MAX_MEDIAN * reach_px {
         return Err(Unread::Contradictory);
     }
     let mut homography = first;

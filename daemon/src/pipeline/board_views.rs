@@ -65,14 +65,14 @@ pub enum BoardViewError {
     Simulator(#[from] DeviceError),
 }
 
+/// Name of a view's folder, and the view.
+pub type NamedView = (String, Result<BoardView, BoardViewError>);
+
 /// Reads all views of a folder, by name. A view that cannot be used is an error of its own, so that the others can be.
 ///
 /// # Errors
 /// [`BoardViewError::Folder`] when there is no view.
-pub fn read_board_views(
-    folder: &Path,
-    board: &Board,
-) -> Result<Vec<(String, Result<BoardView, BoardViewError>)>, BoardViewError> {
+pub fn read_board_views(folder: &Path, board: &Board) -> Result<Vec<NamedView>, BoardViewError> {
     let wrong = |reason: String| BoardViewError::Folder { path: folder.into(), reason };
     let entries = std::fs::read_dir(folder).map_err(|e| wrong(format!("cannot open: {e}")))?;
     let mut views: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| p.is_dir()).collect();
