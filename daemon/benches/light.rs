@@ -4,11 +4,12 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use criterion::{BenchmarkGroup, Criterion, criterion_group, criterion_main, measurement::WallTime};
-use gv3::device::sim::{Finish, Region, SimWorld};
+use gv3::device::sim::{BoardScene, Finish, Region, SceneConfig, SimWorld};
 use gv3::device::{self, PatternIndex, RigConfig};
 use gv3::light::gamma::{BINS, BurstErrors};
 use gv3::light::{
-    GridMesher, MotionCorrector, PhaseExtractor, PixelMask, PointGrid, Triangulator, Unwrapper, WrappedPhase,
+    Board, GridMesher, MotionCorrector, PhaseExtractor, PixelMask, PointGrid, Triangulator, Unwrapper, WrappedPhase,
+    find_chessboard,
 };
 use gv3::pipeline::{FrameSet, FrameSetAssembler, Reconstructor};
 use std::time::Instant;
@@ -125,5 +126,17 @@ fn simulator(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, stages, simulator);
+fn board(c: &mut Criterion) {
+    let board = Board { columns: 9, rows: 6, square_mm: 12.0 };
+    let mut config = RigConfig::simulated();
+    config.sim.scene = SceneConfig::Board(BoardScene { turns_deg: [20.0, -15.0, 10.0], ..BoardScene::new(board) });
+    config.sim.ambient = 1.0;
+    let picture = SimWorld::new(&config).unwrap().expose(0, None, 5_000_000, 0);
+    let mut group = c.benchmark_group("calibration");
+    group.sample_size(20);
+    group.bench_function("find_chessboard", |b| b.iter(|| find_chessboard(&picture, &board).unwrap()));
+    group.finish();
+}
+
+criterion_group!(benches, stages, simulator, board);
 criterion_main!(benches);

@@ -506,7 +506,7 @@ fn uv_near(mesh: &TriMesh, half_edges: &HalfEdges, uv: &[[f32; 2]], mut v: u32, 
     best.1
 }
 
-/// Square of the shape quality, 1 equilateral, 0 degenerate ([`super::repair::quality`]).
+/// Square of the shape quality, 1 equilateral, 0 degenerate ([`super::quality`]).
 fn quality2([a, b, c]: [Vec3; 3]) -> f32 {
     let squares = (b - a).length_squared() + (c - b).length_squared() + (a - c).length_squared();
     12.0 * (b - a).cross(c - a).length_squared() / (squares * squares).max(f32::MIN_POSITIVE)
@@ -541,7 +541,7 @@ fn initial_vertices(mesh: &TriMesh, half_edges: &HalfEdges, border_weight: f32) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::{Bvh, repair::quality};
+    use crate::mesh::{Bvh, quality};
     use proptest::prelude::*;
 
     fn height_field(side: u32, height: impl Fn(f32, f32) -> f32) -> TriMesh {

@@ -9,16 +9,16 @@ pub mod curvature_homotopy;
 pub mod curvature_map;
 pub mod dirichlet;
 pub mod disk;
-mod harmonic;
 pub mod geodesic;
 pub mod grid_plate;
+mod harmonic;
 pub mod locate;
 mod log;
 pub mod match_energies;
 pub mod matching;
 pub mod mobius;
-pub mod sphere;
 pub mod partition;
+pub mod sphere;
 pub mod thin_plate;
 
 pub use angle_error::{AngleErrors, HISTOGRAM_BOUNDS_DEG};

@@ -2,6 +2,7 @@
 //!
 //! A command returns its report as text or JSON; exit code 0 for done, 1 for failed, 2 for wrong usage.
 
+mod calibrate;
 mod calibrate_gamma;
 mod capture;
 mod decode;
@@ -41,6 +42,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Demo(demo::Demo),
+    Calibrate(calibrate::Calibrate),
     Capture(capture::Capture),
     Encode(encode::Encode),
     Decode(decode::Decode),
@@ -84,6 +86,7 @@ pub fn main() -> ExitCode {
         .init();
     let outcome = match arguments.command {
         Command::Demo(c) => c.run(),
+        Command::Calibrate(c) => c.run(),
         Command::Capture(c) => c.run(),
         Command::Encode(c) => c.run(),
         Command::Decode(c) => c.run(),

@@ -61,7 +61,7 @@ pub struct RawCapture {
     /// TOML that says what the pictures show.
     #[arg(long)]
     sequence: PathBuf,
-    /// Calibration: TOML, or JSON with Kc, dc, Kp, dp, R, T.
+    /// Calibration: TOML, JSON with Kc, dc, Kp, dp, R, T, or OpenCV's YAML.
     #[arg(long)]
     calibration: PathBuf,
 }
@@ -105,14 +105,13 @@ impl RawCapture {
             bail!("{}: {bytes} bytes is no calibration", show());
         }
         let text = std::fs::read_to_string(path).with_context(show)?;
-        if !text.trim_start().starts_with('{') {
-            return Calibration::from_toml(&text).with_context(show);
-        }
-        // JSON need not say its sizes; pictures and patterns do.
-        let Some(first) = names.first() else { bail!("{}: no pictures", self.sequence.display()) };
-        let first = read_picture(&self.folder.join(first))?;
-        let projector_px = [raw.sequence.width_px, raw.sequence.height_px];
-        Calibration::from_json(&text, [first.width_px, first.height_px], projector_px).with_context(show)
+        // Not every format says the sizes; pictures and patterns do.
+        let sizes = || {
+            let Some(first) = names.first() else { bail!("{}: no pictures", self.sequence.display()) };
+            let first = read_picture(&self.folder.join(first))?;
+            Ok([[first.width_px, first.height_px], [raw.sequence.width_px, raw.sequence.height_px]])
+        };
+        Calibration::from_text(&text, sizes).with_context(show)
     }
 }
 

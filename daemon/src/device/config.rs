@@ -3,7 +3,7 @@
 use super::{CameraSettings, DeviceError, SequenceTiming, TriggerSource};
 use crate::device::sim::{SceneConfig, SimConfig};
 use crate::files::ProcessingConfig;
-use crate::light::{Calibration, Distortion, Intrinsics, Limits, PatternSequence, Rigid};
+use crate::light::{Calibration, Distortion, Intrinsics, LightError, Limits, PatternSequence, Rigid};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -42,7 +42,7 @@ pub struct ProjectorConfig {
 pub struct RigConfig {
     /// Name shown to people.
     pub name: String,
-    /// Calibration file (TOML); a relative path starts at the rig's file. Either this or `calibration`.
+    /// Calibration file (TOML, JSON or OpenCV's YAML); a relative path starts at the rig's file. Either this or `calibration`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration_file: Option<PathBuf>,
     /// The camera.
@@ -120,7 +120,10 @@ impl RigConfig {
             (Some(path), None) => {
                 let file_error = |reason: String| DeviceError::File { path: path.clone(), reason };
                 let text = std::fs::read_to_string(path).map_err(|e| file_error(e.to_string()))?;
-                Calibration::from_toml(&text).map_err(|e| file_error(e.to_string()))
+                let camera_px = [self.camera.width_px, self.camera.height_px];
+                let sizes_px = [camera_px, [self.sequence.width_px, self.sequence.height_px]];
+                let found: Result<_, LightError> = Calibration::from_text(&text, || Ok(sizes_px));
+                found.map_err(|e| file_error(e.to_string()))
             }
             (None, Some(calibration)) => {
                 calibration.validate()?;
@@ -225,6 +228,8 @@ mod tests {
         let missing = RigConfig::read(&rig).unwrap_err().to_string();
         assert!(missing.contains("calibration.toml"), "{missing}");
         std::fs::write(folder.path().join("calibration.toml"), calibration.to_toml().unwrap()).unwrap();
+        assert_eq!(RigConfig::read(&rig).unwrap().calibration().unwrap(), calibration);
+        std::fs::write(folder.path().join("calibration.toml"), calibration.to_opencv()).unwrap();
         assert_eq!(RigConfig::read(&rig).unwrap().calibration().unwrap(), calibration);
     }
 

@@ -5,6 +5,7 @@
 //! memory is taken.
 
 mod assemble;
+pub mod board_corners;
 #[cfg(test)]
 mod damage_tests;
 mod error;

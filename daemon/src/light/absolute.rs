@@ -109,6 +109,30 @@ impl AbsoluteDecoder {
         limits: &Limits,
         processing: &Processing,
     ) -> Result<Option<Self>, LightError> {
+        Self::build(Some(calibration), sequence, direction, limits, processing)
+    }
+
+    /// The decoder for a rig that is not calibrated yet: the patterns alone, a Gray code or a fringe or beat that covers the
+    /// projector, must tell every coordinate.
+    ///
+    /// # Errors
+    /// [`LightError::Field`] naming the pattern that cannot work, or that the patterns cover too little.
+    pub fn uncalibrated(
+        sequence: &PatternSequence,
+        direction: Direction,
+        limits: MaskLimits,
+    ) -> Result<Option<Self>, LightError> {
+        let limits = Limits { mask: limits, ..Limits::default() };
+        Self::build(None, sequence, direction, &limits, &Processing::default())
+    }
+
+    fn build(
+        calibration: Option<&Calibration>,
+        sequence: &PatternSequence,
+        direction: Direction,
+        limits: &Limits,
+        processing: &Processing,
+    ) -> Result<Option<Self>, LightError> {
         sequence.validate()?;
         let gray = GrayDecoder::new(sequence, direction)?;
         let mut bursts = sequence.bursts();
@@ -239,7 +263,7 @@ impl AbsoluteDecoder {
 /// Finds what the chain begins with when there is no Gray code: a signal that covers the projector, or the longest in the
 /// working range.
 fn begin(
-    calibration: &Calibration,
+    calibration: Option<&Calibration>,
     sequence: &PatternSequence,
     direction: Direction,
     depth: DepthRange,
@@ -251,7 +275,16 @@ fn begin(
         return Ok(Start::Whole(0.5 * (length_px as f32 - 1.0)));
     }
     let period_px = chain.first().map_or(0.0, |s| s.period_px);
+    let calibration = calibration.ok_or_else(|| without_calibration(period_px))?;
     Ok(Start::Range(MinimumPhase::new(calibration, direction, period_px, depth)?))
+}
+
+fn without_calibration(period_px: f64) -> LightError {
+    let reason = format!(
+        "the longest period or beat, {period_px:.1} px, does not cover the projector, and without calibration nothing else \
+         orders fringes; add a coarser pattern or a Gray code"
+    );
+    LightError::field("sequence.patterns", reason)
 }
 
 /// The chain after a Gray code has no use for beats.
@@ -267,12 +300,13 @@ fn after_gray(gray: GrayDecoder, chain: &mut Vec<Signal>) -> Result<Start, Light
 
 /// The chosen way to order one burst.
 fn single(
-    calibration: &Calibration,
+    calibration: Option<&Calibration>,
     direction: Direction,
     period_px: f64,
     depth: DepthRange,
     unwrap: Unwrap,
 ) -> Result<Start, LightError> {
+    let calibration = calibration.ok_or_else(|| without_calibration(period_px))?;
     Ok(match unwrap {
         Unwrap::Spatial => Start::Spatial(geometric::ranges_px(calibration, direction, depth)?),
         Unwrap::Geometric | Unwrap::Auto => Start::Range(MinimumPhase::new(calibration, direction, period_px, depth)?),

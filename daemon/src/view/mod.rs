@@ -5,4 +5,5 @@ pub mod colour_map;
 pub mod compare;
 pub mod plot;
 pub mod render;
+pub mod residuals;
 mod text;

@@ -3,6 +3,7 @@
 //! The camera renders what the projector shows at the instant of the exposure, so a late trigger gives a wrong picture, as in
 //! life. Nothing sleeps: the clock moves from exposure to exposure. Same configuration, same bytes.
 
+mod board;
 mod camera;
 mod face;
 mod lens;
@@ -29,6 +30,7 @@ use shown::ShownPattern;
 use skin::Skin;
 use std::collections::VecDeque;
 
+pub use board::BoardScene;
 pub use camera::SimCamera;
 pub use projector::SimProjector;
 pub use scene::SceneConfig;

@@ -1,5 +1,6 @@
 //! What stands before the scanner: the talking head, or a solid of known form that only the configured velocity moves.
 
+use super::board::BoardScene;
 use super::face::{COLUMNS, Face};
 use super::motion::Posture;
 use super::sequence::{Place, Sequence, SequenceScene};
@@ -46,6 +47,8 @@ pub enum SceneConfig {
     Obj(PathBuf),
     /// A folder of scans, one after the other.
     Sequence(SequenceScene),
+    /// A calibration board.
+    Board(BoardScene),
 }
 
 /// A scene with what is known of each of its vertices.
@@ -58,6 +61,8 @@ pub enum Scene {
         mesh: TriMesh,
         /// Normals of its vertices.
         normals: Vec<Vec3>,
+        /// What is printed on it, and the places of its vertices on the print.
+        print: Option<(BoardScene, Vec<Vec3>)>,
     },
 }
 
@@ -78,14 +83,19 @@ impl Scene {
             SceneConfig::Sequence(sequence) => {
                 return Ok(Self::of_sequence(&Sequence::read(sequence)?, Place::default()));
             }
+            SceneConfig::Board(board) => {
+                board.validate()?;
+                let (mesh, places_mm) = board.mesh();
+                return Ok(Self::Solid { normals: mesh.vertex_normals(), mesh, print: Some((*board, places_mm)) });
+            }
         };
-        Ok(Self::Solid { normals: mesh.vertex_normals(), mesh })
+        Ok(Self::Solid { normals: mesh.vertex_normals(), mesh, print: None })
     }
 
     /// What of a sequence stands there at a place.
     pub fn of_sequence(sequence: &Sequence, place: Place) -> Self {
         let (mesh, normals) = sequence.surface(place);
-        Self::Solid { mesh, normals }
+        Self::Solid { mesh, normals, print: None }
     }
 
     /// Positions in the scan frame at a posture, mm; a solid takes only the shift.
@@ -103,6 +113,7 @@ impl Scene {
     pub fn rest_mm(&self) -> &[Vec3] {
         match self {
             Self::Head(face) => &face.rest_mm,
+            Self::Solid { print: Some((_, places_mm)), .. } => places_mm,
             Self::Solid { mesh, .. } => &mesh.positions_mm,
         }
     }
@@ -143,11 +154,12 @@ impl Scene {
         }
     }
 
-    /// The albedo: skin on the head, an even grey on solids.
+    /// The albedo: skin on the head, its print on a board, an even grey on solids.
     pub fn skin(&self, config: &SimConfig) -> Skin {
         let regions: &[Region] = &config.regions;
         match self {
             Self::Head(_) => Skin::new(config.seed, regions),
+            Self::Solid { print: Some((board, _)), .. } => Skin::printed(regions, |x, y| board.albedo(x, y)),
             Self::Solid { .. } => Skin::even(regions),
         }
     }

@@ -4,10 +4,11 @@ use super::face::{self, EYE_X_MM, EYE_Y_MM, bump, smoothstep, squared};
 use super::noise::{self, Normals};
 use super::raster::whole;
 use super::{Finish, Region};
+use glam::Vec2;
 use gv3_codec::GreyPicture;
 
 /// Size of a texel, mm.
-const TEXEL_MM: f32 = 0.4;
+pub const TEXEL_MM: f32 = 0.4;
 /// The map covers -HALF_WIDTH_MM..HALF_WIDTH_MM and -HALF_HEIGHT_MM..HALF_HEIGHT_MM of rest positions.
 const HALF_WIDTH_MM: f32 = 96.0;
 const HALF_HEIGHT_MM: f32 = 124.0;
@@ -27,6 +28,9 @@ pub struct Skin {
 }
 
 impl Skin {
+    /// Half the width and height that the map covers, mm.
+    pub const HALF_SIZE_MM: Vec2 = Vec2::new(HALF_WIDTH_MM, HALF_HEIGHT_MM);
+
     /// The skin grown from a seed, with the dark ones of `regions` painted over it.
     pub fn new(seed: u64, regions: &[Region]) -> Self {
         // Grain of 0.5 to 4.5 mm: from one to eight camera pixels.
@@ -49,7 +53,15 @@ impl Skin {
 
     /// An even grey as bright as skin, with the dark ones of `regions` painted over it.
     pub fn even(regions: &[Region]) -> Self {
-        let texel = |i: usize| painted(regions, place_mm(i), SKIN);
+        Self::printed(regions, |_, _| SKIN)
+    }
+
+    /// What `print(x, y)` gives for the texels around rest positions, with the dark ones of `regions` painted over it.
+    pub fn printed(regions: &[Region], print: impl Fn(f32, f32) -> f32) -> Self {
+        let texel = |i: usize| {
+            let [x, y] = place_mm(i);
+            painted(regions, [x, y], print(x, y))
+        };
         Self { width: WIDTH, height: HEIGHT, texels: (0..WIDTH * HEIGHT).map(texel).collect() }
     }
 
