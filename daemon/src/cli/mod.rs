@@ -10,6 +10,7 @@ mod info;
 mod measure;
 mod patterns;
 mod progress;
+mod raw;
 mod reconstruct;
 mod recover;
 mod verify;
@@ -48,6 +49,7 @@ enum Command {
     Recover(recover::Recover),
     Measure(measure::Measure),
     Patterns(patterns::Patterns),
+    ExportRaw(raw::ExportRaw),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -89,6 +91,7 @@ pub fn main() -> ExitCode {
         Command::Recover(c) => c.run(),
         Command::Measure(c) => c.run(),
         Command::Patterns(c) => c.run(),
+        Command::ExportRaw(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

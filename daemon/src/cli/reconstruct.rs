@@ -13,6 +13,7 @@ use clap::Args;
 use gv3_codec::Scan;
 use gv3_codec::seed::{Encoder, EncoderConfig};
 use gv3_protocol::AtomicFile;
+use gv3_protocol::raw::RawReader;
 use gv3_protocol::session::{MetadataGroup, SessionMetadata, SessionWriter, key};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -24,19 +25,21 @@ const MAX_CALIBRATION_BYTES: u64 = 1 << 20;
 const SCAN_PERIOD_NANOS: u64 = 33_333_333;
 
 /// Make a scan of a folder of pattern pictures: fringes, Gray code, or both, as a small TOML describes them.
+///
+/// Of a raw recording, which brings its own description, every frame set becomes a scan.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  gv3 reconstruct capture --sequence sequence.toml --calibration rig.toml -o scan\n\nsequence.toml:\n  pictures = \"graycode_##.png\"\n  [sequence]\n  width_px = 1024\n  height_px = 768\n  [[sequence.patterns]]\n  kind = \"gray\"        # or sinusoid (period_px, steps), white, black, half\n  bits = 10            # most significant first\n  pairs = true         # each followed by its inverse\n  direction = \"rows\"   # or columns"
+    after_help = "Examples:\n  gv3 reconstruct smile-raw -o scans\n  gv3 reconstruct capture --sequence sequence.toml --calibration rig.toml -o scan\n\nsequence.toml:\n  pictures = \"graycode_##.png\"\n  [sequence]\n  width_px = 1024\n  height_px = 768\n  [[sequence.patterns]]\n  kind = \"gray\"        # or sinusoid (period_px, steps), white, black, half\n  bits = 10            # most significant first\n  pairs = true         # each followed by its inverse\n  direction = \"rows\"   # or columns"
 )]
 pub struct Reconstruct {
-    /// Folder of pictures.
+    /// Folder of pictures, or of a raw recording.
     folder: PathBuf,
-    /// TOML that says what the pictures show.
+    /// TOML that says what the pictures show; not for a raw recording.
     #[arg(long)]
-    sequence: PathBuf,
+    sequence: Option<PathBuf>,
     /// Calibration: TOML, or JSON with Kc, dc, Kp, dp, R, T.
     #[arg(long)]
-    calibration: PathBuf,
+    calibration: Option<PathBuf>,
     /// Folder to write the scan to.
     #[arg(short, long)]
     out: PathBuf,
@@ -65,14 +68,34 @@ struct ReconstructReport {
 
 impl Reconstruct {
     pub(super) fn run(self) -> Result<Outcome> {
-        let raw = RawFolder::read(&self.sequence)?;
+        let format = match self.format {
+            Format::Obj => ExportFormat::Obj,
+            Format::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
+        };
+        match (&self.sequence, &self.calibration) {
+            (None, None) if RawReader::is_recording(&self.folder) => {
+                if self.session.is_some() {
+                    bail!(
+                        "a session of a raw recording is made by `gv3 capture OUT.gv3 --from-raw {}`",
+                        self.folder.display()
+                    );
+                }
+                super::raw::reconstruct(&self.folder, &self.out, format, self.force, self.json)
+            }
+            (Some(sequence), Some(calibration)) => self.run_pictures(sequence, calibration, format),
+            _ => bail!("{}: no raw recording, so it needs --sequence and --calibration", self.folder.display()),
+        }
+    }
+
+    fn run_pictures(&self, sequence: &Path, calibration_path: &Path, format: ExportFormat) -> Result<Outcome> {
+        let raw = RawFolder::read(sequence)?;
         let names = raw.names()?;
-        let calibration = self.read_calibration(&raw, &names)?;
+        let calibration = self.read_calibration(calibration_path, &raw, &names)?;
         // Without limits nothing but the geometry bounds the depth.
         let limits = raw
             .limits
             .unwrap_or_else(|| Limits { depth: DepthRange { near_mm: 1.0, far_mm: 100_000.0 }, ..Limits::default() });
-        let whole = || format!("{} with {}", self.sequence.display(), self.calibration.display());
+        let whole = || format!("{} with {}", sequence.display(), calibration_path.display());
         let reconstructor = StillReconstructor::new(&calibration, &raw.sequence, &limits).with_context(whole)?;
         let size_px = [calibration.camera.width_px, calibration.camera.height_px];
         let pictures = raw.load(&self.folder, size_px)?;
@@ -83,14 +106,10 @@ impl Reconstruct {
             bail!(
                 "{}: no surface between {near_mm} and {far_mm} mm (near_mm and far_mm of [limits.depth] in {}); rejected pixels: {}",
                 self.folder.display(),
-                self.sequence.display(),
+                sequence.display(),
                 describe(&rejected)?
             );
         }
-        let format = match self.format {
-            Format::Obj => ExportFormat::Obj,
-            Format::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
-        };
         let writer = ExportWriter::create(&self.out, format, self.force)?;
         let mut report = ReconstructReport {
             vertices: scan.mesh.vertex_count(),
@@ -120,8 +139,7 @@ impl Reconstruct {
         text
     }
 
-    fn read_calibration(&self, raw: &RawFolder, names: &[String]) -> Result<Calibration> {
-        let path = &self.calibration;
+    fn read_calibration(&self, path: &Path, raw: &RawFolder, names: &[String]) -> Result<Calibration> {
         let show = || path.display().to_string();
         let bytes = std::fs::metadata(path).with_context(show)?.len();
         if bytes > MAX_CALIBRATION_BYTES {
@@ -132,7 +150,7 @@ impl Reconstruct {
             return Calibration::from_toml(&text).with_context(show);
         }
         // JSON need not say its sizes; pictures and patterns do.
-        let Some(first) = names.first() else { bail!("{}: no pictures", self.sequence.display()) };
+        let Some(first) = names.first() else { bail!("{}: no pictures", self.folder.display()) };
         let first = read_picture(&self.folder.join(first))?;
         let projector_px = [raw.sequence.width_px, raw.sequence.height_px];
         Calibration::from_json(&text, [first.width_px, first.height_px], projector_px).with_context(show)
