@@ -9,6 +9,7 @@
 //! ```
 #![deny(unsafe_code)]
 
+pub mod accuracy;
 pub mod cli;
 pub mod device;
 pub mod files;

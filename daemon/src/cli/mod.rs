@@ -2,6 +2,7 @@
 //!
 //! A command returns its report as text or JSON; exit code 0 for done, 1 for failed, 2 for wrong usage.
 
+mod accuracy;
 mod capture;
 mod decode;
 mod demo;
@@ -50,6 +51,7 @@ enum Command {
     Measure(measure::Measure),
     Patterns(patterns::Patterns),
     ExportRaw(raw::ExportRaw),
+    Accuracy(accuracy::Accuracy),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -92,6 +94,7 @@ pub fn main() -> ExitCode {
         Command::Measure(c) => c.run(),
         Command::Patterns(c) => c.run(),
         Command::ExportRaw(c) => c.run(),
+        Command::Accuracy(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

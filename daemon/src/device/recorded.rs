@@ -91,6 +91,8 @@ pub struct Deck {
     pending: Option<RawItem>,
     /// Host time and instant of what was given last.
     last: Option<(u64, Instant)>,
+    /// When a pass after the first begins.
+    pass_begin: Option<Instant>,
     /// First and last sequence numbers of this pass over the recording.
     pass: Option<[u64; 2]>,
     /// Triggers of the passes before; a multiple of the sequence's length.
@@ -118,6 +120,7 @@ impl Deck {
             is_playing: false,
             pending: None,
             last: None,
+            pass_begin: None,
             pass: None,
             shift: 0,
         })
@@ -125,11 +128,11 @@ impl Deck {
 
     fn rewind(&mut self) {
         self.reader.rewind();
-        (self.pending, self.last, self.pass, self.shift) = (None, None, None, 0);
+        (self.pending, self.last, self.pass_begin, self.pass, self.shift) = (None, None, None, None, 0);
     }
 
-    /// When the next picture or fault is due; [`DeviceError::Ended`] when there is none.
-    fn due(&mut self) -> Result<Instant, DeviceError> {
+    /// When the next picture or fault is due, none for at once; [`DeviceError::Ended`] when nothing more comes.
+    fn due(&mut self) -> Result<Option<Instant>, DeviceError> {
         while self.pending.is_none() {
             match self.reader.next(true)? {
                 Some((path, RawItem::Damage { offset, bytes, reason })) => {
@@ -143,17 +146,17 @@ impl Deck {
                 None => self.begin_again()?,
             }
         }
-        let now = Instant::now();
         let host_nanos = match &self.pending {
             Some(RawItem::Picture(picture)) => picture.stamp.host_time_nanos,
             Some(RawItem::Fault { host_time_nanos, .. }) => *host_time_nanos,
-            _ => return Ok(now),
+            _ => return Ok(None),
         };
         Ok(match (self.pace, self.last) {
+            (Pace::Fast, _) => None,
+            (Pace::Sensor, None) => self.pass_begin,
             (Pace::Sensor, Some((last_nanos, at))) => {
-                at + Duration::from_nanos(host_nanos.saturating_sub(last_nanos).min(MAX_WAIT_NANOS))
+                Some(at + Duration::from_nanos(host_nanos.saturating_sub(last_nanos).min(MAX_WAIT_NANOS)))
             }
-            _ => now,
         })
     }
 
@@ -167,16 +170,15 @@ impl Deck {
         self.shift = self.shift.saturating_add(sets.saturating_mul(count));
         self.reader.rewind();
         // The gap between the passes is one picture period.
-        self.last = self.last.map(|(_, at)| (0, at + Duration::from_nanos(self.timing.picture_period_nanos)));
+        self.pass_begin = self.last.take().map(|(_, at)| at + Duration::from_nanos(self.timing.picture_period_nanos));
         Ok(())
     }
 
     /// What is due: a frame, or the error that came in its place.
-    fn take(&mut self, due: Instant) -> Result<Frame, DeviceError> {
+    fn take(&mut self, due: Option<Instant>) -> Result<Frame, DeviceError> {
+        let at = due.unwrap_or_else(Instant::now);
         match self.pending.take() {
             Some(RawItem::Picture(picture)) => {
-                let is_first_of_pass = self.pass.is_none() && self.last.is_some_and(|(nanos, _)| nanos == 0);
-                let at = if is_first_of_pass { self.last.map_or(due, |l| l.1) } else { due };
                 self.last = Some((picture.stamp.host_time_nanos, at));
                 let sequence = picture.stamp.sequence;
                 let [first, last] = self.pass.unwrap_or([sequence; 2]);
@@ -184,7 +186,7 @@ impl Deck {
                 Ok(self.frame(picture))
             }
             Some(RawItem::Fault { code, host_time_nanos, message }) => {
-                self.last = Some((host_time_nanos, due));
+                self.last = Some((host_time_nanos, at));
                 Err(match code {
                     FaultCode::Timeout => DeviceError::Timeout(message),
                     FaultCode::Disconnected => DeviceError::Disconnected(message),
@@ -275,9 +277,11 @@ impl Camera for RecordedCamera {
             deck.due()?
         };
         // Not under the lock: the projector may be stopped meanwhile.
-        std::thread::sleep(due.min(deadline).saturating_duration_since(Instant::now()));
-        if due > deadline {
-            return Err(DeviceError::Timeout("the recording's next picture is due later".into()));
+        if let Some(due) = due {
+            std::thread::sleep(due.min(deadline).saturating_duration_since(Instant::now()));
+            if due > deadline {
+                return Err(DeviceError::Timeout("the recording's next picture is due later".into()));
+            }
         }
         lock(&self.deck).take(due)
     }

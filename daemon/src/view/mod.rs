@@ -2,6 +2,7 @@
 
 pub mod colour_map;
 pub mod compare;
+pub mod maps;
 pub mod plot;
 pub mod render;
 mod text;

@@ -26,7 +26,7 @@ use std::collections::VecDeque;
 
 pub use camera::SimCamera;
 pub use projector::SimProjector;
-pub use scene::SceneConfig;
+pub use scene::{Placement, SceneConfig};
 
 /// How a picture goes wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -109,6 +109,8 @@ pub struct SimConfig {
     pub defocus_sigma_px: f32,
     /// What stands before the scanner.
     pub scene: SceneConfig,
+    /// Where a solid stands; the head has its own place.
+    pub placement: Placement,
     /// Dark and shiny parts of the surface.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub regions: Vec<Region>,
@@ -129,6 +131,7 @@ impl Default for SimConfig {
             projector_gamma: 1.0,
             defocus_sigma_px: 0.0,
             scene: SceneConfig::Head,
+            placement: Placement::default(),
             regions: Vec::new(),
             faults: Vec::new(),
         }
@@ -149,6 +152,12 @@ impl SimConfig {
             ("sim.velocity_mm_s[0]", self.velocity_mm_s[0], -1e4, 1e4),
             ("sim.velocity_mm_s[1]", self.velocity_mm_s[1], -1e4, 1e4),
             ("sim.velocity_mm_s[2]", self.velocity_mm_s[2], -1e4, 1e4),
+            ("sim.placement.offset_mm[0]", self.placement.offset_mm[0], -1e3, 1e3),
+            ("sim.placement.offset_mm[1]", self.placement.offset_mm[1], -1e3, 1e3),
+            ("sim.placement.offset_mm[2]", self.placement.offset_mm[2], -1e3, 550.0),
+            ("sim.placement.turn_deg[0]", self.placement.turn_deg[0], -360.0, 360.0),
+            ("sim.placement.turn_deg[1]", self.placement.turn_deg[1], -360.0, 360.0),
+            ("sim.placement.turn_deg[2]", self.placement.turn_deg[2], -360.0, 360.0),
             ("sim.motion_samples", self.motion_samples as f32, 1.0, MAX_MOTION_SAMPLES as f32),
             ("sim.projector_gamma", self.projector_gamma, 0.1, 10.0),
             ("sim.defocus_sigma_px", self.defocus_sigma_px, 0.0, 100.0),
@@ -210,7 +219,7 @@ impl SimWorld {
     pub fn new(config: &RigConfig) -> Result<Self, DeviceError> {
         config.validate()?;
         let calibration = config.calibration()?;
-        let scene = Scene::new(&config.sim.scene)?;
+        let scene = Scene::new(&config.sim.scene, &config.sim.placement)?;
         Ok(Self {
             renderer: Renderer::new(&calibration, &scene, &config.sim.regions)?,
             skin: scene.skin(&config.sim),
