@@ -8,6 +8,8 @@ pub const REJECTED_SHARE: f64 = 0.003;
 const STEPS: usize = 20;
 /// Points that hypotheses are tried on.
 const THINNED: usize = 4000;
+/// Least share of a scan's points on a form: chance cuts through other things hold fewer.
+const LEAST_SHARE: f64 = 0.02;
 /// Random hypotheses: with half of the points on the form, four all on it are missed once in 10^28.
 const HYPOTHESES: usize = 1000;
 
@@ -132,10 +134,8 @@ impl Sphere {
 fn solve(matrix: DMat4, right: DVec4) -> Option<DVec4> {
     let scale = DVec4::from_array(std::array::from_fn(|k| 1.0 / matrix.col(k)[k].sqrt()));
     let scaled = DMat4::from_diagonal(scale) * matrix * DMat4::from_diagonal(scale);
-    if !(scaled.determinant().abs() > 1e-20) {
-        return None;
-    }
-    Some(scale * (scaled.inverse() * (scale * right)))
+    let is_regular = scaled.determinant().abs() > 1e-20;
+    is_regular.then(|| scale * (scaled.inverse() * (scale * right)))
 }
 
 /// Eigenvalues and unit eigenvectors (columns) of a symmetric matrix by Jacobi rotations (Golub and Van Loan, Matrix
@@ -176,7 +176,8 @@ pub fn range_mm(distances: impl Iterator<Item = f64>) -> [f64; 2] {
     distances.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], d| [low.min(d), high.max(d)])
 }
 
-/// Points within `gate_mm` of the sphere of about `radius_mm` on which most points lie; none when there is no such sphere.
+/// Points within `gate_mm` of the sphere of about `radius_mm` (10 %) on which most points lie; `None` when that holds fewer
+/// than 2 % of them.
 pub fn find_sphere(points: &[DVec3], radius_mm: f64, gate_mm: f64) -> Option<Vec<DVec3>> {
     let hypothesis = |pick: &mut dyn FnMut() -> DVec3| {
         let four: [DVec3; 4] = std::array::from_fn(|_| pick());
@@ -190,7 +191,7 @@ pub fn find_sphere(points: &[DVec3], radius_mm: f64, gate_mm: f64) -> Option<Vec
     find(points, gate_mm, hypothesis, refine)
 }
 
-/// Points within `gate_mm` of the plane on which most points lie.
+/// Points within `gate_mm` of the plane on which most points lie; `None` when that holds fewer than 2 % of them.
 pub fn find_plane(points: &[DVec3], gate_mm: f64) -> Option<Vec<DVec3>> {
     let hypothesis = |pick: &mut dyn FnMut() -> DVec3| {
         let plane = Plane::fit(&[pick(), pick(), pick()])?;
@@ -232,7 +233,7 @@ fn find<A: Fn(DVec3) -> f64, B: Fn(DVec3) -> f64>(
         let distance = refine(&best)?;
         best = points.iter().copied().filter(|p| distance(*p).abs() < gate_mm).collect();
     }
-    (best.len() >= 20).then_some(best)
+    (best.len() >= 20 && best.len() as f64 >= LEAST_SHARE * points.len() as f64).then_some(best)
 }
 
 #[cfg(test)]
@@ -295,7 +296,7 @@ mod tests {
 
     #[test]
     fn a_wavy_plane_keeps_its_place_and_its_range() {
-        // Waves of whole periods are orthogonal to the plane's three parameters.
+        // Ten whole waves turn the plane by no more than a fortieth of their height across.
         let points: Vec<DVec3> = (0..40 * 40)
             .map(|i| {
                 DVec3::new(
@@ -307,7 +308,7 @@ mod tests {
             .collect();
         let plane = Plane::fit(&points).unwrap();
         let [low, high] = range_mm(points.iter().map(|p| plane.distance_mm(*p)));
-        assert!((high - low - 0.04).abs() < 0.001, "{low} {high}");
+        assert!((high - low - 0.04).abs() < 0.004, "{low} {high}");
     }
 
     #[test]
@@ -342,7 +343,7 @@ mod tests {
         assert_eq!((kept.len(), rejected), (997, 3));
         let fit = Sphere::fit(&kept).unwrap();
         assert!(fit.sigma_mm < 1e-9);
-        points[300] += DVec3::splat(0.3);
+        points[300] = BALL.centre_mm + (points[300] - BALL.centre_mm) * 1.005;
         let (kept, _) = without_worst(&points, |p| BALL.distance_mm(p));
         let [low, high] = range_mm(kept.iter().map(|p| BALL.distance_mm(*p)));
         assert!(high - low > 0.1, "a fourth one stays");
@@ -362,7 +363,7 @@ mod tests {
         let rest: Vec<DVec3> = points.iter().copied().filter(|p| fit.sphere.distance_mm(*p).abs() > 1.5).collect();
         let second = Sphere::fit(&find_sphere(&rest, 40.0, 0.5).unwrap()).unwrap();
         assert!(second.sphere.centre_mm.distance(other.centre_mm) < 0.02);
-        assert!(find_sphere(&points, 90.0, 0.5).is_none());
+        assert!(find_sphere(&points[5500..], 40.0, 0.5).is_none(), "a plane is no sphere");
         assert_eq!(find_plane(&points[5500..], 0.5).unwrap().len(), 2000);
     }
 }

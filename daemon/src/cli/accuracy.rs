@@ -207,5 +207,10 @@ fn describe(report: &AccuracyReport, is_simulated: bool) -> String {
             f.position, f.range_mm, f.sigma_mm, f.points, f.rejected
         );
     }
+    let is_cut = report.flatness.iter().any(|f| f.reaches_gate) || report.probing.iter().any(|p| p.reaches_gate);
+    if is_cut {
+        let _ =
+            writeln!(text, "  deviations reach the gate, which may cut them: give a larger --gate, or trim the scans");
+    }
     text
 }

@@ -35,10 +35,10 @@ pub struct Reconstruct {
     /// Folder of pictures, or of a raw recording.
     folder: PathBuf,
     /// TOML that says what the pictures show; not for a raw recording.
-    #[arg(long)]
+    #[arg(long, requires = "calibration")]
     sequence: Option<PathBuf>,
     /// Calibration: TOML, or JSON with Kc, dc, Kp, dp, R, T.
-    #[arg(long)]
+    #[arg(long, requires = "sequence")]
     calibration: Option<PathBuf>,
     /// Folder to write the scan to.
     #[arg(short, long)]
