@@ -267,7 +267,7 @@ mod tests {
         assert!((range - 0.03 / (1.0f64 + 0.01 + 0.0025).sqrt()).abs() < 2.5e-3, "{range}");
         assert!(!report.flatness[0].reaches_gate);
         let wide = (0..100).map(|i| DVec3::new(f64::from(i % 10), f64::from(i / 10), 0.01 * f64::from(i % 3)));
-        report.add_plane("cut", &scan(wide), 0.011).unwrap();
+        report.add_plane("cut", &scan(wide), 0.0105).unwrap();
         assert!(report.flatness[1].reaches_gate, "{report:?}");
         assert!(report.add_plane("nothing", &scan(std::iter::empty()), 1.0).is_err());
     }
