@@ -1,6 +1,7 @@
 //! `gv3 encode`: a folder of scans becomes a session.
 
 use super::Outcome;
+use super::capture::stop_flag;
 use super::progress::{bar, human_bytes};
 use crate::files::{LoadedScan, Repairs, ScanFolder};
 use crate::measure::binary_bytes;
@@ -13,6 +14,7 @@ use gv3_protocol::AtomicFile;
 use gv3_protocol::session::{Event, EventKind, MetadataGroup, SessionMetadata, SessionWriter, key};
 use serde::Serialize;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -90,6 +92,7 @@ impl Encode {
         config.texture_quality = self.texture_quality;
         config.repair.open_closed = self.open_closed;
         let period_nanos = config.header.scan_period_nanos;
+        let stop = stop_flag()?;
         let mut job = Job::start(&self, &folder, config)?;
         let bar = bar(folder.len() as u64, "encode");
         std::thread::scope(|scope| -> Result<()> {
@@ -103,7 +106,7 @@ impl Encode {
                     }
                 }
             });
-            job.encode_all(folder, &loaded, || bar.inc(1))
+            job.encode_all(folder, &loaded, &stop, || bar.inc(1))
         })?;
         bar.finish_and_clear();
         let report = job.finish(&self, &folder)?;
@@ -162,8 +165,18 @@ impl Job {
         Ok(Self { encoder, writer, report, events: Vec::new(), time: Duration::ZERO, binary_bytes: 0 })
     }
 
-    fn encode_all(&mut self, folder: &ScanFolder, loaded: &Receiver<Loaded>, step: impl Fn()) -> Result<()> {
+    fn encode_all(
+        &mut self,
+        folder: &ScanFolder,
+        loaded: &Receiver<Loaded>,
+        stop: &AtomicBool,
+        step: impl Fn(),
+    ) -> Result<()> {
         while let Ok((i, scan)) = loaded.recv() {
+            // Ended here, the half-written file is removed.
+            if stop.load(Ordering::Relaxed) {
+                bail!("stopped; nothing is written");
+            }
             let LoadedScan { scan, repairs } = scan?;
             self.note_repairs(&folder.name(i), &repairs);
             self.binary_bytes += binary_bytes(&scan);

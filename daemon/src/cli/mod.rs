@@ -2,6 +2,7 @@
 //!
 //! A command returns its report as text or JSON; exit code 0 for done, 1 for failed, 2 for wrong usage.
 
+mod accuracy;
 mod calibrate;
 mod calibrate_gamma;
 mod capture;
@@ -13,6 +14,7 @@ mod info;
 mod measure;
 mod patterns;
 mod progress;
+mod raw;
 mod reconstruct;
 mod recover;
 mod verify;
@@ -54,6 +56,8 @@ enum Command {
     Patterns(patterns::Patterns),
     CalibrateGamma(calibrate_gamma::CalibrateGamma),
     Flatten(flatten::Flatten),
+    ExportRaw(raw::ExportRaw),
+    Accuracy(accuracy::Accuracy),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -98,6 +102,8 @@ pub fn main() -> ExitCode {
         Command::Patterns(c) => c.run(),
         Command::CalibrateGamma(c) => c.run(),
         Command::Flatten(c) => c.run(),
+        Command::ExportRaw(c) => c.run(),
+        Command::Accuracy(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

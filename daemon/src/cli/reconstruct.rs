@@ -14,6 +14,7 @@ use clap::Args;
 use gv3_codec::seed::{Encoder, EncoderConfig};
 use gv3_codec::{GreyPicture, Scan};
 use gv3_protocol::AtomicFile;
+use gv3_protocol::raw::RawReader;
 use gv3_protocol::session::{MetadataGroup, SessionMetadata, SessionWriter, key};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -25,14 +26,21 @@ const MAX_CALIBRATION_BYTES: u64 = 1 << 20;
 const SCAN_PERIOD_NANOS: u64 = 33_333_333;
 
 /// Make a scan of a folder of pattern pictures: fringes, Gray code, or both, as a small TOML describes them.
+///
+/// Of a raw recording, which brings its own description, every frame set becomes a scan.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  gv3 reconstruct capture --sequence sequence.toml --calibration rig.toml -o scan\n\nsequence.toml:\n  pictures = \"graycode_##.png\"\n  [sequence]\n  width_px = 1024\n  height_px = 768\n  [[sequence.patterns]]\n  kind = \"gray\"        # or sinusoid (period_px, steps), white, black, half\n  bits = 10            # most significant first\n  pairs = true         # each followed by its inverse\n  direction = \"rows\"   # or columns"
+    after_help = "Examples:\n  gv3 reconstruct smile-raw -o scans\n  gv3 reconstruct capture --sequence sequence.toml --calibration rig.toml -o scan\n\nsequence.toml:\n  pictures = \"graycode_##.png\"\n  [sequence]\n  width_px = 1024\n  height_px = 768\n  [[sequence.patterns]]\n  kind = \"gray\"        # or sinusoid (period_px, steps), white, black, half\n  bits = 10            # most significant first\n  pairs = true         # each followed by its inverse\n  direction = \"rows\"   # or columns"
 )]
 pub struct Reconstruct {
-    /// Pictures of the scan.
-    #[command(flatten)]
-    capture: RawCapture,
+    /// Folder of pictures, or of a raw recording.
+    folder: PathBuf,
+    /// TOML that says what the pictures show; not for a raw recording.
+    #[arg(long, requires = "calibration")]
+    sequence: Option<PathBuf>,
+    /// Calibration: TOML, JSON with Kc, dc, Kp, dp, R, T, or OpenCV's YAML.
+    #[arg(long, requires = "sequence")]
+    calibration: Option<PathBuf>,
     /// Phase errors of the projector, from gv3 calibrate-gamma; over gamma_file of the sequence.
     #[arg(long, value_name = "FILE")]
     gamma: Option<PathBuf>,
@@ -134,14 +142,37 @@ struct ReconstructReport {
 
 impl Reconstruct {
     pub(super) fn run(self) -> Result<Outcome> {
-        let opened = self.capture.open()?;
+        let format = match self.format {
+            Format::Obj => ExportFormat::Obj,
+            Format::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
+        };
+        match (&self.sequence, &self.calibration) {
+            (None, None) if RawReader::is_recording(&self.folder) => {
+                if self.session.is_some() {
+                    bail!(
+                        "a session of a raw recording is made by `gv3 capture OUT.gv3 --from-raw {}`",
+                        self.folder.display()
+                    );
+                }
+                super::raw::reconstruct(&self.folder, &self.out, format, self.force, self.json)
+            }
+            (Some(sequence), Some(calibration)) => {
+                let (folder, sequence, calibration) = (self.folder.clone(), sequence.clone(), calibration.clone());
+                self.run_pictures(&RawCapture { folder, sequence, calibration }, format)
+            }
+            _ => bail!("{}: no raw recording, so it needs --sequence and --calibration", self.folder.display()),
+        }
+    }
+
+    fn run_pictures(&self, capture: &RawCapture, format: ExportFormat) -> Result<Outcome> {
+        let opened = capture.open()?;
         let OpenedCapture { folder, raw, names, calibration, limits } = &opened;
         let mut processing = raw.processing.read()?;
         if let Some(path) = &self.gamma {
             processing.gamma = Some(read_gamma(path)?);
         }
         let reconstructor = StillReconstructor::with(calibration, &raw.sequence, limits, &processing)
-            .with_context(|| self.capture.name())?;
+            .with_context(|| capture.name())?;
         let pictures = opened.pictures()?;
         let Reconstruction { scan, rejected } =
             reconstructor.reconstruct(&pictures).map_err(|e| named(e, folder, names))?;
@@ -150,14 +181,10 @@ impl Reconstruct {
             bail!(
                 "{}: no surface between {near_mm} and {far_mm} mm (near_mm and far_mm of [limits.depth] in {}); rejected pixels: {}",
                 folder.display(),
-                self.capture.sequence.display(),
+                capture.sequence.display(),
                 describe(&rejected)?
             );
         }
-        let format = match self.format {
-            Format::Obj => ExportFormat::Obj,
-            Format::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
-        };
         let writer = ExportWriter::create(&self.out, format, self.force)?;
         let mut report = ReconstructReport {
             vertices: scan.mesh.vertex_count(),

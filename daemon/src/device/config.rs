@@ -1,5 +1,6 @@
 //! A rig's configuration: which devices, which patterns, when, and with what calibration.
 
+use super::recorded::{RecordedConfig, stored_config};
 use super::{CameraSettings, DeviceError, SequenceTiming, TriggerSource};
 use crate::device::sim::{SceneConfig, SimConfig};
 use crate::files::ProcessingConfig;
@@ -14,6 +15,8 @@ use std::path::{Path, PathBuf};
 pub enum Backend {
     /// In process, no hardware.
     Simulated,
+    /// A raw recording, as `[recorded]` names it.
+    Recorded,
 }
 
 /// The camera of a rig.
@@ -60,6 +63,9 @@ pub struct RigConfig {
     /// The simulated world, for simulated devices.
     #[serde(default)]
     pub sim: SimConfig,
+    /// The recording, for recorded devices.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recorded: Option<RecordedConfig>,
     /// Patterns of one scan.
     pub sequence: PatternSequence,
     /// Calibration in place.
@@ -81,11 +87,20 @@ impl RigConfig {
             limits: Limits::default(),
             processing: ProcessingConfig::default(),
             sim: SimConfig::default(),
+            recorded: None,
             // 264 px is the shortest whole multiple of 22 px that the working range allows; a ratio of 12 leaves five sigma
             // of the low phase to half a fringe at the least modulation of the mask.
             sequence: PatternSequence::two_frequency(projector_size_px, 264.0, 22.0, 3),
             calibration: Some(calibration),
         }
+    }
+
+    /// The rig of a raw recording, played back.
+    ///
+    /// # Errors
+    /// [`DeviceError::File`] when there is no recording or its configuration cannot be read.
+    pub fn recorded(recorded: RecordedConfig) -> Result<Self, DeviceError> {
+        stored_config(recorded)
     }
 
     /// Reads and checks a rig's file.
@@ -106,6 +121,9 @@ impl RigConfig {
                 SceneConfig::Sequence(sequence) => sequence.folder = folder.join(&sequence.folder),
                 _ => {}
             }
+        }
+        if let (Some(recorded), Some(folder)) = (&mut config.recorded, path.parent()) {
+            recorded.path = folder.join(&recorded.path);
         }
         config.validate()?;
         Ok(config)

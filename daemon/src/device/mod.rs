@@ -2,6 +2,7 @@
 
 pub mod config;
 pub mod frame;
+pub mod recorded;
 pub mod sim;
 
 use crate::light::{Calibration, LightError, Limits, PatternSequence, Processing};
@@ -12,6 +13,7 @@ use std::time::Instant;
 
 pub use config::{Backend, CameraConfig, ProjectorConfig, RigConfig};
 pub use frame::{Frame, PatternIndex};
+pub use recorded::{Pace, RecordedConfig};
 
 /// Why a device did not do what was asked.
 #[derive(Debug, thiserror::Error)]
@@ -41,6 +43,12 @@ pub enum DeviceError {
     /// The device is gone.
     #[error("{0} is disconnected")]
     Disconnected(String),
+    /// Nothing more will come.
+    #[error("{0} has ended")]
+    Ended(String),
+    /// Anything else that the device reports.
+    #[error("{0}")]
+    Failed(String),
 }
 
 impl DeviceError {
@@ -72,6 +80,8 @@ pub struct CameraInfo {
     pub height_px: u32,
     /// Shortest time between two pictures, nanoseconds.
     pub min_period_nanos: u64,
+    /// Waits for whoever reads it, as virtual time and files do; a live sensor goes on without its reader.
+    pub waits_for_reader: bool,
 }
 
 /// What starts an exposure.
@@ -234,6 +244,15 @@ pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
             (Backend::Simulated, Backend::Simulated) => {
                 let world = Arc::new(Mutex::new(sim::SimWorld::new(config)?));
                 (Box::new(sim::SimCamera::new(Arc::clone(&world))), Box::new(sim::SimProjector::new(world)))
+            }
+            (Backend::Recorded, Backend::Recorded) => {
+                let deck = Arc::new(Mutex::new(recorded::Deck::open(config)?));
+                let camera = recorded::RecordedCamera::new(Arc::clone(&deck));
+                (Box::new(camera), Box::new(recorded::RecordedProjector::new(deck)))
+            }
+            (Backend::Simulated, Backend::Recorded) | (Backend::Recorded, Backend::Simulated) => {
+                let reason = "camera and projector must both be recorded, or neither";
+                return Err(DeviceError::config("projector.backend", reason));
             }
         };
     Ok(Rig {

@@ -39,6 +39,9 @@ pub enum RecordError {
     /// The session could not be written.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// The raw recording could not be begun.
+    #[error(transparent)]
+    Raw(#[from] gv3_protocol::raw::RawError),
     /// The caller's observer failed.
     #[error("{0}")]
     Observer(String),
@@ -88,9 +91,19 @@ pub struct Recorded {
 }
 
 /// What travels down the queues.
-enum Item<T> {
+pub(super) enum Item<T> {
     Work(T),
     Event(Event),
+}
+
+/// What capture sends: frame sets, and what happened between them.
+pub(super) type CaptureItem = Item<FrameSet>;
+
+impl CaptureItem {
+    /// Whether it is a frame set.
+    pub(super) fn is_set(&self) -> bool {
+        matches!(self, Self::Work(_))
+    }
 }
 
 /// Records until the wanted length, the stop flag, or an error; the session is finished in every case where the file can
@@ -159,7 +172,7 @@ fn stopping<T>(stop: &AtomicBool, work: impl FnOnce() -> Result<T, RecordError>)
     work().inspect_err(|_| stop.store(true, Ordering::Relaxed))
 }
 
-fn capture(
+pub(super) fn capture(
     mut rig: Rig,
     periods: Option<u64>,
     stop: &AtomicBool,
@@ -193,6 +206,9 @@ fn collect(
     let set_nanos = rig.timing.set_period_nanos(rig.sequence.patterns.len());
     let mut assembler = FrameSetAssembler::new(&rig.sequence, &rig.timing);
     let (mut frame_bytes, mut timeouts, mut start_nanos, mut last_tick) = (0, 0, None, None);
+    let is_over = |nanos: u64| {
+        periods.is_some_and(|p| nanos + rig.timing.picture_period_nanos / 2 >= p.saturating_mul(set_nanos))
+    };
     while !stop.load(Ordering::Relaxed) {
         let frame = match rig.camera.next_frame(Instant::now() + PICTURE_DEADLINE) {
             Ok(frame) => frame,
@@ -204,12 +220,16 @@ fn collect(
                 }
                 continue;
             }
+            Err(DeviceError::Ended(device)) => {
+                info!(device, "end of the pictures");
+                break;
+            }
             Err(error) => return Err(error.into()),
         };
         timeouts = 0;
         let time_nanos = frame.device_time_nanos;
         let elapsed = time_nanos.saturating_sub(*start_nanos.get_or_insert(time_nanos));
-        if periods.is_some_and(|p| elapsed + rig.timing.picture_period_nanos / 2 >= p.saturating_mul(set_nanos)) {
+        if is_over(elapsed) {
             break;
         }
         frame_bytes += frame.picture.pixels.len() as u64;
@@ -225,6 +245,10 @@ fn collect(
             }
             last_tick = Some(set.tick);
             send(out, Item::Work(set))?;
+        }
+        // Without waiting for a picture that is not wanted.
+        if is_over(elapsed.saturating_add(rig.timing.picture_period_nanos)) {
+            break;
         }
     }
     Ok((assembler.finish(), frame_bytes))

@@ -28,6 +28,7 @@ impl Camera for SimCamera {
             width_px,
             height_px,
             min_period_nanos: 5_000_000,
+            waits_for_reader: true,
         }
     }
 

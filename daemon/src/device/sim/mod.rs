@@ -33,7 +33,7 @@ use std::collections::VecDeque;
 pub use board::BoardScene;
 pub use camera::SimCamera;
 pub use projector::SimProjector;
-pub use scene::SceneConfig;
+pub use scene::{Placement, SceneConfig};
 pub use sequence::SequenceScene;
 
 /// How a picture goes wrong.
@@ -123,6 +123,8 @@ pub struct SimConfig {
     pub defocus_sigma_px: f32,
     /// What stands before the scanner.
     pub scene: SceneConfig,
+    /// Where a solid stands; the head has its own place.
+    pub placement: Placement,
     /// Dark and shiny parts of the surface.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub regions: Vec<Region>,
@@ -150,6 +152,7 @@ impl Default for SimConfig {
             projector_gamma: 1.0,
             defocus_sigma_px: 0.0,
             scene: SceneConfig::Head,
+            placement: Placement::default(),
             regions: Vec::new(),
             clock_drift_ppm: 0.0,
             faults: Vec::new(),
@@ -171,6 +174,12 @@ impl SimConfig {
             ("sim.velocity_mm_s[0]", self.velocity_mm_s[0], -1e4, 1e4),
             ("sim.velocity_mm_s[1]", self.velocity_mm_s[1], -1e4, 1e4),
             ("sim.velocity_mm_s[2]", self.velocity_mm_s[2], -1e4, 1e4),
+            ("sim.placement.offset_mm[0]", self.placement.offset_mm[0], -1e3, 1e3),
+            ("sim.placement.offset_mm[1]", self.placement.offset_mm[1], -1e3, 1e3),
+            ("sim.placement.offset_mm[2]", self.placement.offset_mm[2], -1e3, 550.0),
+            ("sim.placement.turn_deg[0]", self.placement.turn_deg[0], -360.0, 360.0),
+            ("sim.placement.turn_deg[1]", self.placement.turn_deg[1], -360.0, 360.0),
+            ("sim.placement.turn_deg[2]", self.placement.turn_deg[2], -360.0, 360.0),
             ("sim.motion_samples", self.motion_samples as f32, 1.0, MAX_MOTION_SAMPLES as f32),
             ("sim.projector_gamma", self.projector_gamma, 0.1, 10.0),
             ("sim.defocus_sigma_px", self.defocus_sigma_px, 0.0, 100.0),
@@ -252,7 +261,7 @@ impl SimWorld {
         };
         let scene = match &sequence {
             Some(sequence) => Scene::of_sequence(sequence, Place::default()),
-            None => Scene::new(&config.sim.scene)?,
+            None => Scene::new(&config.sim.scene, &config.sim.placement)?,
         };
         let skin = match sequence.as_ref().and_then(|s| s.skin(Place::default())) {
             Some(skin) => skin.clone(),

@@ -9,7 +9,7 @@ use super::{Region, SimConfig};
 use crate::device::DeviceError;
 use crate::files::FileError;
 use crate::files::obj::read_obj;
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 use gv3_codec::mesh::TriMesh;
 use serde::{Deserialize, Serialize};
 use std::f32::consts::{PI, TAU};
@@ -51,6 +51,28 @@ pub enum SceneConfig {
     Board(BoardScene),
 }
 
+/// Where a solid stands.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Placement {
+    /// Shift from the middle of the working range, scan frame, mm.
+    pub offset_mm: [f32; 3],
+    /// Turns about the scan frame's x, then y, then z, through the middle of the working range, before the shift, degrees.
+    pub turn_deg: [f32; 3],
+}
+
+impl Placement {
+    fn apply(&self, p: Vec3) -> Vec3 {
+        // Not the standard library's: the same place on every machine.
+        let [x, y, z] = self.turn_deg.map(|deg| libm::sincosf(deg * (PI / 180.0)));
+        let about_x = Mat3::from_cols_array(&[1.0, 0.0, 0.0, 0.0, x.1, x.0, 0.0, -x.0, x.1]);
+        let about_y = Mat3::from_cols_array(&[y.1, 0.0, -y.0, 0.0, 1.0, 0.0, y.0, 0.0, y.1]);
+        let about_z = Mat3::from_cols_array(&[z.1, z.0, 0.0, -z.0, z.1, 0.0, 0.0, 0.0, 1.0]);
+        let turn = about_z * about_y * about_x;
+        CENTRE_MM + Vec3::from(self.offset_mm) + turn * (p - CENTRE_MM)
+    }
+}
+
 /// A scene with what is known of each of its vertices.
 pub enum Scene {
     /// The talking head.
@@ -71,8 +93,8 @@ impl Scene {
     ///
     /// # Errors
     /// [`DeviceError::File`] for an OBJ that cannot be read, [`DeviceError::Config`] for one too large.
-    pub fn new(config: &SceneConfig) -> Result<Self, DeviceError> {
-        let mesh = match config {
+    pub fn new(config: &SceneConfig, placement: &Placement) -> Result<Self, DeviceError> {
+        let mut mesh = match config {
             SceneConfig::Head => return Ok(Self::Head(Box::new(Face::new()))),
             SceneConfig::Plane => plate(-HALF_SIZE_MM[0], HALF_SIZE_MM[0], PLANE_SLOPE, 0.0),
             SceneConfig::Spheres => joined([sphere(-SPHERE_X_MM), sphere(SPHERE_X_MM)]),
@@ -89,6 +111,7 @@ impl Scene {
                 return Ok(Self::Solid { normals: mesh.vertex_normals(), mesh, print: Some((*board, places_mm)) });
             }
         };
+        mesh.positions_mm.iter_mut().for_each(|p| *p = placement.apply(*p));
         Ok(Self::Solid { normals: mesh.vertex_normals(), mesh, print: None })
     }
 
@@ -360,13 +383,14 @@ mod tests {
         let path = folder.path().join("solid.obj");
         std::fs::write(&path, "v 0 0 0\nv 60 0 0\nv 0 60 20\nf 1 2 3\n").unwrap();
         let scene = SceneConfig::Obj(path.clone());
-        let Scene::Solid { mesh, .. } = Scene::new(&scene).unwrap() else { panic!("no solid") };
+        let Scene::Solid { mesh, .. } = Scene::new(&scene, &Placement::default()).unwrap() else { panic!("no solid") };
         assert_eq!(mesh.bounds_mm(), (Vec3::new(-30.0, -30.0, -610.0), Vec3::new(30.0, 30.0, -590.0)));
         let toml = toml::to_string(&SimConfig { scene: scene.clone(), ..SimConfig::default() }).unwrap();
         assert_eq!(toml::from_str::<SimConfig>(&toml).unwrap().scene, scene);
         std::fs::write(&path, "v 0 0 0\nv 6000 0 0\nv 0 60 20\nf 1 2 3\n").unwrap();
-        assert!(Scene::new(&scene).err().unwrap().to_string().starts_with("sim.scene.obj"));
-        let missing = Scene::new(&SceneConfig::Obj("nowhere.obj".into())).err().unwrap().to_string();
+        assert!(Scene::new(&scene, &Placement::default()).err().unwrap().to_string().starts_with("sim.scene.obj"));
+        let missing =
+            Scene::new(&SceneConfig::Obj("nowhere.obj".into()), &Placement::default()).err().unwrap().to_string();
         assert!(missing.contains("nowhere.obj"), "{missing}");
     }
 }
