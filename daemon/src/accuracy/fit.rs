@@ -177,7 +177,7 @@ pub fn range_mm(distances: impl Iterator<Item = f64>) -> [f64; 2] {
 }
 
 /// Points within `gate_mm` of the sphere of about `radius_mm` (10 %) on which most points lie; `None` when that holds fewer
-/// than 2 % of them.
+/// than 2 % of them, or when they fill the gate evenly: any surface that passes through the gate does so, a sphere does not.
 pub fn find_sphere(points: &[DVec3], radius_mm: f64, gate_mm: f64) -> Option<Vec<DVec3>> {
     let hypothesis = |pick: &mut dyn FnMut() -> DVec3| {
         let four: [DVec3; 4] = std::array::from_fn(|_| pick());
@@ -188,7 +188,10 @@ pub fn find_sphere(points: &[DVec3], radius_mm: f64, gate_mm: f64) -> Option<Vec
         let sphere = Sphere::fit(inliers)?.sphere;
         ((sphere.radius_mm - radius_mm).abs() < 0.1 * radius_mm).then_some(move |p| sphere.distance_mm(p))
     };
-    find(points, gate_mm, hypothesis, refine)
+    let found = find(points, gate_mm, hypothesis, refine)?;
+    let sphere = Sphere::fit(&found)?.sphere;
+    let mean_square = found.iter().map(|p| sphere.distance_mm(*p).powi(2)).sum::<f64>() / found.len() as f64;
+    (mean_square.sqrt() < EVEN_SHARE * gate_mm).then_some(found)
 }
 
 /// Points within `gate_mm` of the plane on which most points lie; `None` when that holds fewer than 2 % of them.
@@ -203,6 +206,9 @@ pub fn find_plane(points: &[DVec3], gate_mm: f64) -> Option<Vec<DVec3>> {
     };
     find(points, gate_mm, hypothesis, refine)
 }
+
+/// An even spread over the gate has a standard deviation of 0.58 of it.
+const EVEN_SHARE: f64 = 0.45;
 
 /// Random sample consensus (Fischler and Bolles 1981) on thinned points, then least squares on all within the gate until it
 /// stays. The same points give the same answer.

@@ -150,7 +150,7 @@ impl AbsoluteDecoder {
                 begin(calibration, sequence, direction, limits.depth, &mut chain)?
             }
             None if bursts.len() == 1 => {
-                single(calibration, direction, periods_px[0], limits.depth, processing.unwrap)?
+                single(calibration, sequence, direction, periods_px[0], limits.depth, processing.unwrap)?
             }
             _ => {
                 let reason = "geometric and spatial take one burst of sinusoids and no Gray code; leave the key out to \
@@ -275,14 +275,14 @@ fn begin(
         return Ok(Start::Whole(0.5 * (length_px as f32 - 1.0)));
     }
     let period_px = chain.first().map_or(0.0, |s| s.period_px);
-    let calibration = calibration.ok_or_else(|| without_calibration(period_px))?;
+    let calibration = calibration.ok_or_else(|| without_calibration(period_px, length_px))?;
     Ok(Start::Range(MinimumPhase::new(calibration, direction, period_px, depth)?))
 }
 
-fn without_calibration(period_px: f64) -> LightError {
+fn without_calibration(period_px: f64, length_px: u32) -> LightError {
     let reason = format!(
-        "the longest period or beat, {period_px:.1} px, does not cover the projector, and without calibration nothing else \
-         orders fringes; add a coarser pattern or a Gray code"
+        "the longest period or beat, {period_px:.1} px, does not cover the projector's {length_px} px, and without \
+         calibration nothing else orders fringes; add a coarser pattern or a Gray code"
     );
     LightError::field("sequence.patterns", reason)
 }
@@ -301,12 +301,13 @@ fn after_gray(gray: GrayDecoder, chain: &mut Vec<Signal>) -> Result<Start, Light
 /// The chosen way to order one burst.
 fn single(
     calibration: Option<&Calibration>,
+    sequence: &PatternSequence,
     direction: Direction,
     period_px: f64,
     depth: DepthRange,
     unwrap: Unwrap,
 ) -> Result<Start, LightError> {
-    let calibration = calibration.ok_or_else(|| without_calibration(period_px))?;
+    let calibration = calibration.ok_or_else(|| without_calibration(period_px, sequence.side_px(direction)))?;
     Ok(match unwrap {
         Unwrap::Spatial => Start::Spatial(geometric::ranges_px(calibration, direction, depth)?),
         Unwrap::Geometric | Unwrap::Auto => Start::Range(MinimumPhase::new(calibration, direction, period_px, depth)?),
