@@ -109,7 +109,7 @@ fn draw_scatter<'a>(root: &Area<'a>, device: &Device, [left, top]: [i32; 2]) -> 
     let half = PANEL_PX[1] / 2;
     let centre = (left + PANEL_PX[0] / 2, top + half);
     // Twice the long errors is about four standard deviations of normal ones.
-    let circle_px = nice(device.long_error().unwrap_or(1.0));
+    let circle_px = nice(2.0 * device.long_error().unwrap_or(1.0));
     let scale = f64::from(half) / (2.2 * circle_px);
     let rms_px = device.rms_px();
     let title = format!("{}, rms {rms_px:.3} px, circles at {circle_px} and {} px", device.name, 2.0 * circle_px);
