@@ -17,7 +17,8 @@ const LEAF_ROWS: usize = 32;
 pub(super) fn nested_dissection(matrix: &LowerCsc, places: &[Vec3]) -> Vec<u32> {
     assert_eq!(places.len(), matrix.size(), "one place a row");
     let (start, neighbours) = adjacency(matrix);
-    let mut order: Vec<u32> = (0..matrix.size() as u32).collect();
+    // Rows go about with their places, or every comparison would fetch two from afar.
+    let mut order: Vec<(u32, Vec3)> = (0..matrix.size() as u32).zip(places.iter().copied()).collect();
     let mut part_of = vec![0u32; order.len()];
     let mut parts = vec![(0, order.len())];
     let mut stamp = 0;
@@ -26,18 +27,18 @@ pub(super) fn nested_dissection(matrix: &LowerCsc, places: &[Vec3]) -> Vec<u32> 
             continue;
         }
         let rows = &mut order[first..end];
-        let axis = longest_axis(rows, places);
+        let axis = longest_axis(rows);
         let middle = rows.len() / 2;
-        rows.select_nth_unstable_by(middle, |&a, &b| places[a as usize][axis].total_cmp(&places[b as usize][axis]));
+        rows.select_nth_unstable_by(middle, |a, b| a.1[axis].total_cmp(&b.1[axis]));
         stamp += 1;
-        rows[middle..].iter().for_each(|&r| part_of[r as usize] = stamp);
+        rows[middle..].iter().for_each(|&(r, _)| part_of[r as usize] = stamp);
         let touches = |r: u32| {
             let range = start[r as usize] as usize..start[r as usize + 1] as usize;
             neighbours[range].iter().any(|&n| part_of[n as usize] == stamp)
         };
         let mut inner = 0;
         for i in 0..middle {
-            if !touches(rows[i]) {
+            if !touches(rows[i].0) {
                 rows.swap(i, inner);
                 inner += 1;
             }
@@ -46,13 +47,12 @@ pub(super) fn nested_dissection(matrix: &LowerCsc, places: &[Vec3]) -> Vec<u32> 
         parts.push((first, first + inner));
         parts.push((first + inner, end - (middle - inner)));
     }
-    order
+    order.into_iter().map(|(row, _)| row).collect()
 }
 
-fn longest_axis(rows: &[u32], places: &[Vec3]) -> usize {
-    let (low, high) = rows.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), &r| {
-        (low.min(places[r as usize]), high.max(places[r as usize]))
-    });
+fn longest_axis(rows: &[(u32, Vec3)]) -> usize {
+    let (low, high) = (rows.iter())
+        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), &(_, place)| (low.min(place), high.max(place)));
     (high - low).max_position()
 }
 

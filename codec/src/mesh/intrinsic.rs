@@ -72,9 +72,9 @@ impl IntrinsicMesh {
 
     /// Area of the triangle of `h` by Kahan's stable form of Heron's formula, floored so that cotangents stay finite.
     pub fn area(&self, h: u32) -> f64 {
-        let mut e = [self.length[h as usize], self.length[next(h) as usize], self.length[prev(h) as usize]];
-        e.sort_unstable_by(|x, y| y.total_cmp(x));
-        let [a, b, c] = e;
+        let [x, y, z] = [h, next(h), prev(h)].map(|e| self.length[e as usize]);
+        let (low, high) = (x.min(y), x.max(y));
+        let [a, b, c] = [high.max(z), low.max(high.min(z)), low.min(z)];
         let s = (a + (b + c)) * (c - (a - b)) * (c + (a - b)) * (a + (b - c));
         (0.25 * s.max(0.0).sqrt()).max(1e-10 * a * a)
     }
@@ -85,18 +85,24 @@ impl IntrinsicMesh {
         (b * b + c * c - a * a) / (4.0 * self.area(h))
     }
 
-    /// Weight of an edge: half the sum of the opposite cotangents.
-    pub fn edge_weight(&self, h: u32) -> f64 {
-        let other = self.twin[h as usize];
-        let sum = self.cotangent(h) + if other == NONE { 0.0 } else { self.cotangent(other) };
-        0.5 * sum
+    /// Cotangents opposite all half-edges, the area of each triangle taken once.
+    pub fn cotangents(&self) -> Vec<f64> {
+        let mut cotangents = Vec::with_capacity(self.length.len());
+        for (t, length) in self.length.chunks_exact(3).enumerate() {
+            let four_areas = 4.0 * self.area(3 * t as u32);
+            let [a, b, c] = [length[0] * length[0], length[1] * length[1], length[2] * length[2]];
+            cotangents.extend([(b + c - a) / four_areas, (c + a - b) / four_areas, (a + b - c) / four_areas]);
+        }
+        cotangents
     }
 
     /// Flips edges until every interior edge that is not locked is Delaunay; returns the number of flips.
     pub fn make_delaunay(&mut self) -> usize {
-        let mut stack: Vec<u32> = (0..self.twin.len() as u32)
-            .filter(|&h| self.twin[h as usize] != NONE && h < self.twin[h as usize])
-            .collect();
+        let cotangents = self.cotangents();
+        let inner = |&(h, &g): &(usize, &u32)| g != NONE && h < g as usize;
+        let bad = |&(h, &g): &(usize, &u32)| cotangents[h] + cotangents[g as usize] < DELAUNAY_SLACK;
+        let mut stack: Vec<u32> =
+            self.twin.iter().enumerate().filter(inner).filter(bad).map(|(h, _)| h as u32).collect();
         let mut queued = vec![false; self.twin.len()];
         for &h in &stack {
             queued[h as usize] = true;
@@ -271,10 +277,10 @@ mod tests {
             let area: f64 = (0..m.twin.len() as u32).step_by(3).map(|h| m.area(h)).sum();
             prop_assert!(m.make_delaunay() > 0);
             check(&m);
-            for h in 0..m.twin.len() as u32 {
-                if m.twin[h as usize] != NONE {
-                    prop_assert!(m.edge_weight(h) >= -1e-8);
-                }
+            let cotangents = m.cotangents();
+            for (h, &g) in m.twin.iter().enumerate().filter(|(_, g)| **g != NONE) {
+                prop_assert!(cotangents[h] + cotangents[g as usize] >= -2e-8);
+                prop_assert!((cotangents[h] - m.cotangent(h as u32)).abs() <= 1e-12 * cotangents[h].abs().max(1.0));
             }
             // Flipping keeps lengths in the cone metric, so a flat pair keeps its area exactly.
             let after: f64 = (0..m.twin.len() as u32).step_by(3).map(|h| m.area(h)).sum();

@@ -45,13 +45,15 @@ pub fn intrinsic_laplacian(mesh: &TriMesh) -> Result<LowerCsc> {
     m.make_delaunay();
     let mut diagonal = vec![0.0; mesh.vertex_count()];
     let mut entries = Vec::with_capacity(m.twin.len() / 2 + 1);
+    let cotangents = m.cotangents();
     for h in 0..m.twin.len() as u32 {
         let other = m.twin[h as usize];
         let (i, j) = (m.origin[h as usize], m.origin[next(h) as usize]);
         if i == j || other != NONE && other < h {
             continue;
         }
-        let w = m.edge_weight(h);
+        let across = if other == NONE { 0.0 } else { cotangents[other as usize] };
+        let w = 0.5 * (cotangents[h as usize] + across);
         diagonal[i as usize] += w;
         diagonal[j as usize] += w;
         entries.push((i, j, -w));

@@ -1,6 +1,7 @@
 //! Clamped-plate warp of the unit disk: interpolates landmarks and leaves the circle where it is. For surfaces whose
 //! border is a material line.
 
+use super::kernel_sum::add_kernels;
 use super::log::ln_ratio;
 use crate::{CodecError, Result};
 use faer::prelude::*;
@@ -62,10 +63,20 @@ impl ClampedPlate {
         }
         sum
     }
+
+    /// Images of many points, as [`Self::apply`] gives them, in half the time.
+    pub fn images(&self, points: &[DVec2]) -> Vec<DVec2> {
+        let term = |(&(p, room_p), &w): (&(DVec2, f64), &DVec2)| {
+            (p, w, move |distance2, room: f64| kernel(distance2, room.max(0.0) * room_p))
+        };
+        let mut images = points.to_vec();
+        add_kernels(points, &mut images, self.centres.iter().zip(&self.weights).map(term));
+        images
+    }
 }
 
 /// G from |z-w|^2 and (1-|z|^2)(1-|w|^2), whose sum is |1 - z conj(w)|^2. Zero on the circle, where the second is.
-#[inline]
+#[inline(always)]
 fn kernel(distance2: f64, room: f64) -> f64 {
     distance2 * ln_ratio(distance2.max(LEAST), (distance2 + room).max(LEAST)) + room
 }
@@ -101,6 +112,8 @@ mod tests {
                 let z = DVec2::from_angle(phase + f64::from(k));
                 prop_assert!(plate.apply(z).distance(z) < 1e-12);
             }
+            let images = plate.images(&from);
+            prop_assert!(from.iter().zip(images).all(|(&p, image)| plate.apply(p) == image));
         }
 
         #[test]

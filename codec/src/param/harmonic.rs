@@ -32,13 +32,14 @@ impl HarmonicSystem {
         }
         let mut diagonal = vec![0.0; rows as usize];
         let (mut entries, mut coupling) = (Vec::with_capacity(m.twin.len() / 2), Vec::new());
+        let cotangents = m.cotangents();
         for h in 0..m.twin.len() as u32 {
             let other = m.twin[h as usize];
             let (i, j) = (m.origin[h as usize], m.target(h));
             if other == NONE || h > other || i == j {
                 continue;
             }
-            let weight = m.edge_weight(h);
+            let weight = 0.5 * (cotangents[h as usize] + cotangents[other as usize]);
             let [low, high] = if m.locked[h as usize] { LOCKED_WEIGHTS } else { [0.0, f64::INFINITY] };
             let w = weight.clamp(low, high);
             let (ri, rj) = (row[i as usize], row[j as usize]);

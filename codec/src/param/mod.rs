@@ -12,6 +12,7 @@ pub mod disk;
 pub mod geodesic;
 pub mod grid_plate;
 mod harmonic;
+mod kernel_sum;
 pub mod locate;
 mod log;
 pub mod match_energies;
