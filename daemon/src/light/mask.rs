@@ -99,6 +99,25 @@ impl RejectedPixels {
             + self.epipolar
             + self.unanchored
     }
+
+    /// The cause that rejected most pixels, and how many; `None` when none was rejected.
+    pub fn main_cause(&self) -> Option<(&'static str, u64)> {
+        let causes = [
+            ("saturated", self.saturated),
+            ("low_modulation", self.low_modulation),
+            ("low_data_modulation", self.low_data_modulation),
+            ("eroded", self.eroded),
+            ("fringe_order", self.fringe_order),
+            ("depth_range", self.depth_range),
+            ("unmeshed", self.unmeshed),
+            ("shadow", self.shadow),
+            ("uncertain_bit", self.uncertain_bit),
+            ("code_range", self.code_range),
+            ("epipolar", self.epipolar),
+            ("unanchored", self.unanchored),
+        ];
+        causes.into_iter().max_by_key(|(_, count)| *count).filter(|(_, count)| *count > 0)
+    }
 }
 
 /// Limits on the fringe signal.

@@ -30,7 +30,7 @@
 //! sets, since the rate is half a set old; the first set of a run, and one after a gap of more than [`MAX_GAP_SETS`]. Gray code and
 //! multi-frequency sequences of many pictures are for things at rest: their fringe orders come from long before the fringes.
 
-use super::mask::PixelMask;
+use super::mask::{PixelMask, Rejection};
 use super::phase::{PhaseExtractor, atan2_rad};
 use super::{LightError, Pattern};
 use std::f32::consts::TAU;
@@ -40,6 +40,9 @@ pub const MAX_GAP_SETS: u64 = 2;
 
 /// Half the side of the window in which rates are averaged, pixels.
 const WINDOW_PX: usize = 8;
+
+/// Pixels that are told together to have no rate.
+const GROUP_PX: usize = 32;
 
 /// Largest drift between the middle and the end of a burst, radians; more is a depth edge passing by, not a moving surface.
 const MAX_DRIFT_RAD: f32 = 1.0;
@@ -106,7 +109,7 @@ impl RateSystem {
         atan2_rad(y * cos - x * sin, x * cos + y * sin)
     }
 
-    fn correct_row(&self, rates_px: &[f32], period_px: f32, coordinate_px: &mut [f32]) {
+    fn correct_group(&self, rates_px: &[f32], period_px: f32, coordinate_px: &mut [f32]) {
         let per_period = 1.0 / period_px;
         for (coordinate, rate_px) in coordinate_px.iter_mut().zip(rates_px) {
             let turns = *coordinate * per_period;
@@ -125,7 +128,7 @@ fn sin_cos(turns: f32) -> (f32, f32) {
     let sine = |quarter: f32| {
         let x = TAU * quarter;
         let x2 = x * x;
-        x * (1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0 * (1.0 - x2 / 72.0))))
+        x * (1.0 + x2 * (-1.0 / 6.0 + x2 * (1.0 / 120.0 + x2 * (-1.0 / 5040.0 + x2 * (1.0 / 362_880.0)))))
     };
     let f = turns - ((turns + ROUNDER) - ROUNDER);
     let size = f.abs();
@@ -173,44 +176,62 @@ impl MotionCorrector {
             let (w, rows) = (self.width_px, coordinate_px.len() / self.width_px);
             for y in 0..rows {
                 let rates = self.window.row_means(&self.rate_px, y);
-                self.system.correct_row(rates, self.period_px, &mut coordinate_px[y * w..(y + 1) * w]);
+                let row = &mut coordinate_px[y * w..(y + 1) * w];
+                for (coordinates, rates) in row.chunks_mut(GROUP_PX).zip(rates.chunks(GROUP_PX)) {
+                    // Around the head, where nothing is known, is about half of the picture.
+                    if rates.iter().any(|&rate| rate != 0.0) {
+                        self.system.correct_group(rates, self.period_px, coordinates);
+                    }
+                }
             }
         }
         self.previous_tick = Some(tick);
-        for ((previous, &now), i) in self.previous_px.iter_mut().zip(&*coordinate_px).zip(0..) {
-            *previous = if mask.is_kept(i) { now } else { f32::NAN };
+        for ((previous, &now), verdict) in self.previous_px.iter_mut().zip(&*coordinate_px).zip(&mask.verdicts) {
+            *previous = if *verdict == Rejection::Kept { now } else { f32::NAN };
         }
     }
 
     fn measure_rates(&mut self, pictures: f32, mask: &PixelMask, coordinate_px: &[f32]) {
-        let per_picture = 1.0 / pictures;
-        let pixels = self.rate_px.iter_mut().zip(&self.previous_px).zip(coordinate_px.iter().zip(0..));
-        for ((rate, previous), (now, i)) in pixels {
+        let (per_picture, max_rate_px) = (1.0 / pictures, self.max_rate_px);
+        let pixels = self.rate_px.iter_mut().zip(&self.previous_px).zip(coordinate_px.iter().zip(&mask.verdicts));
+        for ((rate, previous), (now, verdict)) in pixels {
             let value = (now - previous) * per_picture;
-            let is_known = value.abs() <= self.max_rate_px && mask.is_kept(i);
+            let is_known = (value.abs() <= max_rate_px) & (*verdict == Rejection::Kept);
             *rate = if is_known { value } else { f32::NAN };
         }
     }
 }
 
-/// Means over square windows that ignore NaN, row after row by running sums.
+/// Means over square windows that ignore NaN: running sums down the columns, and along a row sums of 2, 4, 8, 16 and 17.
 #[derive(Debug, Clone)]
 struct Window {
+    width_px: usize,
+    /// Sums and counts of the columns, with zeros for [`WINDOW_PX`] pixels beyond either end of the row.
     sums: Vec<f32>,
     counts: Vec<f32>,
+    /// Sums and counts over windows that begin at each place.
+    wide_sums: Vec<f32>,
+    wide_counts: Vec<f32>,
     means: Vec<f32>,
 }
 
 impl Window {
     fn new(width_px: usize) -> Self {
-        Self { sums: vec![0.0; width_px], counts: vec![0.0; width_px], means: vec![0.0; width_px] }
+        let padded = vec![0.0; width_px + 2 * WINDOW_PX];
+        Self {
+            width_px,
+            sums: padded.clone(),
+            counts: padded.clone(),
+            wide_sums: padded.clone(),
+            wide_counts: padded,
+            means: vec![0.0; width_px],
+        }
     }
 
     /// Means around the pixels of row `y`, 0 where nothing is known. Rows are to be asked for in order from 0.
     fn row_means(&mut self, values: &[f32], y: usize) -> &[f32] {
-        let w = self.sums.len();
+        let (w, reach) = (self.width_px, WINDOW_PX);
         let rows = values.len() / w;
-        let reach = WINDOW_PX;
         if y == 0 {
             self.sums.fill(0.0);
             self.counts.fill(0.0);
@@ -222,29 +243,39 @@ impl Window {
         if y > reach {
             self.add_row(&values[(y - reach - 1) * w..(y - reach) * w], -1.0);
         }
-        let (mut sum, mut count) = (0.0, 0.0);
-        for x in 0..w + reach {
-            if x < w {
-                sum += self.sums[x];
-                count += self.counts[x];
-            }
-            if x > 2 * reach {
-                sum -= self.sums[x - 2 * reach - 1];
-                count -= self.counts[x - 2 * reach - 1];
-            }
-            if x >= reach {
-                self.means[x - reach] = if count > 0.5 { sum / count } else { 0.0 };
-            }
+        widen(&self.sums, &mut self.wide_sums);
+        widen(&self.counts, &mut self.wide_counts);
+        for ((mean, sum), count) in self.means.iter_mut().zip(&self.wide_sums).zip(&self.wide_counts) {
+            // Counts are whole; without any, rounding of the running sums may be left.
+            *mean = if *count > 0.5 { sum / count } else { 0.0 };
         }
         &self.means
     }
 
     fn add_row(&mut self, row: &[f32], sign: f32) {
-        for ((sum, count), &value) in self.sums.iter_mut().zip(&mut self.counts).zip(row) {
+        let (sums, counts) = (&mut self.sums[WINDOW_PX..], &mut self.counts[WINDOW_PX..]);
+        for ((sum, count), &value) in sums.iter_mut().zip(counts).zip(row) {
             let is_known = !value.is_nan();
             *sum += if is_known { sign * value } else { 0.0 };
             *count += if is_known { sign } else { 0.0 };
         }
+    }
+}
+
+/// Sums of `2 * WINDOW_PX + 1` values from each place on, where there are as many, by doubling.
+fn widen(values: &[f32], out: &mut [f32]) {
+    const { assert!(WINDOW_PX.is_power_of_two()) };
+    out.copy_from_slice(values);
+    let mut length = 1;
+    while length < 2 * WINDOW_PX {
+        // Each place is read by places before it, which are done by then.
+        for i in 0..out.len() - length {
+            out[i] += out[i + length];
+        }
+        length *= 2;
+    }
+    for (sum, last) in out.iter_mut().zip(&values[2 * WINDOW_PX..]) {
+        *sum += last;
     }
 }
 

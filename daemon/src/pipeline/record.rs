@@ -1,6 +1,6 @@
 //! A recording: capture, reconstruct, encode and write, each in a named thread, joined by bounded queues.
 
-use super::{DropCounts, FrameSet, FrameSetAssembler, Reconstructor};
+use super::{DropCounts, FrameSet, FrameSetAssembler, Reconstruction, Reconstructor};
 use crate::device::{DeviceError, Rig};
 use crate::light::{DepthRange, LightError, RejectedPixels};
 use gv3_codec::seed::{EncodedGroup, Encoder, EncoderConfig};
@@ -284,6 +284,15 @@ fn gap_event(last_tick: Option<u64>, set: &FrameSet) -> Option<Event> {
     Some(Event { time_nanos: set.time_nanos, tick: first_missing, kind: EventKind::Gap { ticks } })
 }
 
+/// Says of a scan without a surface what rejected most of its pixels: `empty_scan_low_modulation` when all was dark.
+fn empty_event(result: &Reconstruction) -> Option<Event> {
+    let Scan { tick, time_nanos, mesh, .. } = &result.scan;
+    let (cause, pixels) = result.rejected.main_cause().filter(|_| mesh.triangles.is_empty())?;
+    warn!(tick, cause, pixels, "empty scan");
+    let kind = EventKind::Drop { cause: format!("empty_scan_{cause}"), count: 1 };
+    Some(Event { time_nanos: *time_nanos, tick: *tick, kind })
+}
+
 #[derive(Default)]
 struct Rebuilt {
     sets: u64,
@@ -306,6 +315,9 @@ fn run_reconstruct(
                 rebuilt.time += begin.elapsed();
                 rebuilt.sets += 1;
                 rebuilt.rejected += result.rejected;
+                if let Some(event) = empty_event(&result) {
+                    send(out, Item::Event(event))?;
+                }
                 Item::Work(result.scan)
             }
         };
@@ -443,4 +455,32 @@ fn statistics(recorded: &Recorded) -> MetadataGroup {
         .with(key::KEYFRAMES, recorded.keyframes)
         .with(key::ENCODE_MS_PER_SCAN, format!("{:.3}", recorded.encode_ms_per_scan))
         .with(key::RAW_FRINGE_BYTES, recorded.raw_fringe_bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{Frame, PatternIndex, RigConfig};
+    use gv3_codec::GreyPicture;
+
+    #[test]
+    fn a_set_all_dark_or_clipped_is_an_event_by_its_cause() {
+        let config = RigConfig::simulated();
+        let calibration = config.calibration().unwrap();
+        let mut reconstructor = Reconstructor::new(&calibration, &config.sequence, &config.limits).unwrap();
+        for (level, cause) in [(0, "empty_scan_low_modulation"), (255, "empty_scan_saturated")] {
+            let frame = |n: u16| Frame {
+                sequence: u64::from(n),
+                pattern: PatternIndex(n),
+                device_time_nanos: 0,
+                host_time_nanos: 0,
+                exposure_nanos: 0,
+                picture: GreyPicture::filled(640, 480, level),
+            };
+            let set = FrameSet { tick: 7, time_nanos: 9, frames: (0..6).map(frame).collect() };
+            let event = empty_event(&reconstructor.reconstruct(&set).unwrap()).unwrap();
+            let kind = EventKind::Drop { cause: cause.into(), count: 1 };
+            assert_eq!(event, Event { time_nanos: 9, tick: 7, kind });
+        }
+    }
 }

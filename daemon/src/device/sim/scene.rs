@@ -258,7 +258,8 @@ fn obj(path: &Path) -> Result<TriMesh, DeviceError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{self, RigConfig};
+    use crate::device::sim::SimWorld;
+    use crate::device::{self, PatternIndex, RigConfig};
     use crate::pipeline::{FrameSetAssembler, Reconstructor};
     use glam::{DMat4, DVec3, DVec4};
     use std::time::Instant;
@@ -375,6 +376,69 @@ mod tests {
         };
         let height_mm = level(|x| x > 10.0) - level(|x| x < -10.0);
         assert!((height_mm - f64::from(STEP_MM)).abs() < 0.02, "{height_mm} mm");
+    }
+
+    /// Whether the plate stands between a place of the wall and the camera or lamp, by exact geometry; `None` within 3 mm of the
+    /// plate's edge.
+    fn is_hidden(from: DVec3, wall: DVec3) -> Option<bool> {
+        let at_plate = wall + (from - wall) * ((-560.0 - wall.z) / (from.z - wall.z));
+        let beyond_mm = at_plate.x.abs().max(at_plate.y.abs()) - 20.0;
+        (beyond_mm.abs() > 3.0).then_some(beyond_mm < 0.0)
+    }
+
+    #[test]
+    fn a_plate_before_a_wall_hides_it_from_the_camera_and_shades_it_from_the_projector() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plate.obj");
+        let square =
+            |x: f32, y: f32, z: f32| format!("v -{x} -{y} {z}\nv {x} -{y} {z}\nv {x} {y} {z}\nv -{x} {y} {z}\n");
+        let faces = "f 1 2 3\nf 1 3 4\nf 5 6 7\nf 5 7 8\n";
+        std::fs::write(&path, square(100.0, 75.0, 0.0) + &square(20.0, 20.0, 80.0) + faces).unwrap();
+        let mut config = RigConfig::simulated();
+        config.sim.scene = SceneConfig::Obj(path);
+        let calibration = config.calibration().unwrap();
+        let from_camera = &calibration.projector_from_camera;
+        let light_in_camera = -(from_camera.matrix().transpose() * from_camera.translation());
+        let lamp_mm = DVec3::new(light_in_camera.x, -light_in_camera.y, -light_in_camera.z);
+        let mut world = SimWorld::new(&config).unwrap();
+        world.load(&config.sequence);
+        let pictures = [0u16, 1, 2, 3, 4, 5]
+            .map(|n| world.expose(0, Some(PatternIndex(n)), config.timing.exposure_nanos, u64::from(n)));
+        let depth_mm = world.truth_depth_mm(0);
+        let mut has_vertex = vec![false; depth_mm.len()];
+        let place =
+            |p: DVec3| calibration.camera.project(DVec3::new(p.x, -p.y, -p.z)).to_array().map(|v| v.round() as usize);
+        for p in scanned_with(&config).0 {
+            let [x, y] = place(p + CENTRE_MM.as_dvec3());
+            has_vertex[y * 640 + x] = true;
+        }
+        let (mut in_shadow, mut lit, mut measured) = (0, 0, 0);
+        for (i, ray) in calibration.camera.ray_table("camera").unwrap().iter().enumerate() {
+            let wall_mm = DVec3::new(ray.x, -ray.y, -1.0) * 640.0;
+            // A margin for the mask's erosion at the wall's own edges.
+            if wall_mm.x.abs() > 95.0 || wall_mm.y.abs() > 70.0 {
+                continue;
+            }
+            let levels = pictures.each_ref().map(|p| p.pixels[i]);
+            let swing = levels.iter().max().unwrap() - levels.iter().min().unwrap();
+            match (is_hidden(DVec3::ZERO, wall_mm), is_hidden(lamp_mm, wall_mm)) {
+                (Some(true), _) => assert!((depth_mm[i] - 560.0).abs() < 0.1, "the plate at {wall_mm}"),
+                (Some(false), Some(true)) => {
+                    in_shadow += 1;
+                    assert!((depth_mm[i] - 640.0).abs() < 0.1 && swing < 15, "{levels:?} at {wall_mm}");
+                    assert!(!has_vertex[i], "a vertex in the shadow at {wall_mm}");
+                }
+                (Some(false), Some(false)) => {
+                    lit += 1;
+                    measured += u32::from(swing > 30 && has_vertex[i]);
+                    assert!((depth_mm[i] - 640.0).abs() < 0.1, "the wall at {wall_mm}");
+                }
+                _ => {}
+            }
+        }
+        assert!(in_shadow > 300 && lit > 20_000, "{in_shadow} in the shadow, {lit} lit");
+        // Noise may take a dark pixel here and there.
+        assert!(measured * 100 > lit * 97, "{measured} of {lit} lit pixels measured");
     }
 
     #[test]
