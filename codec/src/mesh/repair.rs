@@ -25,7 +25,9 @@ pub struct RepairOptions {
     pub min_border_quality: f32,
     /// Times that the outer border is smoothed along itself, within the tangent planes.
     pub smooth_rounds: u32,
-    /// Whether a ragged border is clipped along a smooth curve one or two vertices inside, before it is smoothed.
+    /// Whether a ragged border is clipped along a smooth curve one or two vertices inside, before it is smoothed. Fewer
+    /// triangles turn over in a disk map then, but about 1.7 % of the area goes: a session of 31 face scans missed 0.55 %
+    /// of them instead of 0.31 %, at the same size, so that encoding leaves this off.
     pub clip_border: bool,
     /// A vertex farther from the middle of its neighbours than this many edges of the ring they form is a spike.
     pub max_spike_ratio: f32,
