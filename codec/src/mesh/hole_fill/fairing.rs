@@ -36,7 +36,8 @@ impl Patch<'_> {
         let (around, triangles) = self.surroundings(mesh);
         for _ in 0..BEND_ROUNDS {
             let bent = self.bend(&around, &triangles);
-            if bent.is_err() || !(self.area_mm2() <= MAX_AREA_GROWTH * area) {
+            let grown = self.area_mm2();
+            if bent.is_err() || grown.is_nan() || grown > MAX_AREA_GROWTH * area {
                 self.values = membrane;
                 return;
             }
@@ -78,11 +79,11 @@ impl Patch<'_> {
         let new = self.values.len() - rim;
         let inner = |v: u32| (v as usize).checked_sub(rim).filter(|&i| i < new);
         let (mut diagonal, mut entries, mut pull) = (vec![0.0; new], Vec::new(), vec![[0.0; 5]; new]);
-        for row in 0..self.values.len() {
+        for (row, &area_mm2) in rows.area_mm2.iter().enumerate() {
             let coefficients = &rows.coefficients[rows.start[row]..rows.start[row + 1]];
             for (at, &(j, cj)) in coefficients.iter().enumerate() {
                 let Some(i) = inner(j) else { continue };
-                let cj = cj / rows.area_mm2[row];
+                let cj = cj / area_mm2;
                 diagonal[i] += cj * coefficients[at].1;
                 for (other, &(k, ck)) in coefficients.iter().enumerate().filter(|(other, _)| *other != at) {
                     match inner(k) {
