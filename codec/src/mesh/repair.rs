@@ -25,7 +25,9 @@ pub struct RepairOptions {
     pub min_border_quality: f32,
     /// Times that the outer border is smoothed along itself, within the tangent planes.
     pub smooth_rounds: u32,
-    /// Whether a ragged border is clipped along a smooth curve one or two vertices inside, before it is smoothed.
+    /// Whether a ragged border is clipped along a smooth curve one or two vertices inside, before it is smoothed. Fewer
+    /// triangles turn over in a disk map then, but about 1.7 % of the area goes: a session of 31 face scans missed 0.55 %
+    /// of them instead of 0.31 %, at the same size, so that encoding leaves this off.
     pub clip_border: bool,
     /// A vertex farther from the middle of its neighbours than this many edges of the ring they form is a spike.
     pub max_spike_ratio: f32,
@@ -65,7 +67,7 @@ pub fn to_disk(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repa
     report.other_piece_triangles += surface.keep_largest_piece();
     if surface.is_closed() {
         if !options.open_closed {
-            return Err(CodecError::Mesh("is closed; a scan has a border (--open-closed cuts its back away)".into()));
+            return Err(CodecError::Mesh(surface.closed_message()));
         }
         report.opened_triangles = surface.remove_where(|s, t| s.normal(t).z <= 0.0);
         report.other_piece_triangles += surface.keep_largest_piece();
@@ -83,8 +85,13 @@ pub fn to_disk(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repa
     let border = fill_holes(&mut disk, options, &mut report)?;
     let half_edges = HalfEdges::build(disk.vertex_count(), &disk.triangles)?;
     if !half_edges.is_disk() {
-        let (chi, loops) = (half_edges.euler_characteristic(), half_edges.boundary_loops().len());
-        return Err(CodecError::Mesh(format!("is no disk after repair: Euler characteristic {chi}, {loops} borders")));
+        let (chi, loops) = (half_edges.euler_characteristic(), half_edges.boundary_loops());
+        let at: Vec<String> = loops.iter().filter_map(|ring| report.first_known(ring)).take(4).collect();
+        return Err(CodecError::Mesh(format!(
+            "is no disk after repair: Euler characteristic {chi}, {} borders (at vertices {})",
+            loops.len(),
+            at.join(", ")
+        )));
     }
     smooth_border(&mut disk, &half_edges, &border, options.smooth_rounds, &mut report);
     Ok((disk, report))
@@ -130,7 +137,7 @@ fn fill_holes(mesh: &mut TriMesh, options: &RepairOptions, report: &mut RepairRe
             return Err(CodecError::Mesh(format!(
                 "hole of {} edges at vertex {} is larger than the {} that are filled",
                 ring.len(),
-                report.source[ring[0] as usize] + 1,
+                report.first_known(ring).unwrap_or_else(|| "on the clipped border".into()),
                 options.max_hole_edges
             )));
         }
@@ -249,7 +256,9 @@ mod tests {
     #[test]
     fn closed_surfaces_are_refused_or_opened() {
         let ball = sphere(12, 10.0);
-        assert!(refusal(&ball).contains("closed"));
+        let message = refusal(&ball);
+        let [a, b, _] = ball.triangles[0].map(|v| v + 1);
+        assert!(message.contains("closed") && message.contains(&format!("edge {a}-{b}")), "{message}");
         let (half, report) = to_disk(&ball, &RepairOptions { open_closed: true, ..Default::default() }).unwrap();
         assert!(report.opened_triangles >= ball.triangles.len() / 2);
         assert!(half.positions_mm.iter().all(|p| p.z > -2.0));

@@ -1,7 +1,7 @@
 //! Surfaces of known shape for tests.
 
 use super::TriMesh;
-use glam::{DVec2, Vec3};
+use glam::{DVec2, Vec2, Vec3};
 use std::f32::consts::TAU;
 
 /// Sphere around the origin: an octahedron whose faces are cut into n² triangles, normals outward.
@@ -101,4 +101,22 @@ pub(crate) fn polar_disk(rings: u32) -> (Vec<DVec2>, Vec<[u32; 3]>) {
         }
     }
     (points, triangles)
+}
+
+/// Height field on a `side` x `side` vertex grid of 1 mm, without the quads whose centre is in `hole`.
+pub(crate) fn plate(side: u32, height: impl Fn(Vec2) -> f32, hole: impl Fn(Vec2) -> bool) -> TriMesh {
+    let at = |x: u32, y: u32| Vec2::new(x as f32, y as f32);
+    let grid = (0..side * side).map(|i| at(i % side, i / side));
+    let mut mesh = TriMesh {
+        positions_mm: grid.clone().map(|p| p.extend(height(p))).collect(),
+        triangles: Vec::new(),
+        uv: Some(grid.map(|p| (p / side as f32).to_array()).collect()),
+    };
+    for (x, y) in (0..side - 1).flat_map(|y| (0..side - 1).map(move |x| (x, y))) {
+        if !hole(at(x, y) + 0.5) {
+            let a = y * side + x;
+            mesh.triangles.extend([[a, a + 1, a + side + 1], [a, a + side + 1, a + side]]);
+        }
+    }
+    mesh.submesh(|_| true).0
 }

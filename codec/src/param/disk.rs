@@ -39,8 +39,9 @@ pub struct DiskMap {
 pub struct DiskOptions {
     /// Vertex that goes to the centre; the one farthest from the border in edge steps by default.
     pub centre: Option<u32>,
-    /// Whether no triangle of the embedded mesh may be turned over. The intrinsic triangulation has none anyway; here
-    /// flipped triangles and a growing ring around them are kept as they are in it, their weights held positive.
+    /// Whether triangles of the embedded mesh that are turned over are turned back, at a cost in angles. The intrinsic
+    /// triangulation has none anyway; here flipped triangles and a growing ring around them are kept as they are in it,
+    /// their weights held positive. [`DiskMap::flips`] tells what is left, none on the scans tried.
     pub unflip: bool,
 }
 
@@ -188,8 +189,10 @@ pub fn signed_area(points: &[DVec2], t: [u32; 3]) -> f64 {
 fn single_border(mesh: &TriMesh, half_edges: &HalfEdges) -> Result<Vec<u32>> {
     let mut loops = half_edges.boundary_loops();
     if !half_edges.is_disk() {
+        let at: Vec<String> = loops.iter().take(4).map(|ring| (ring[0] + 1).to_string()).collect();
+        let at = if at.is_empty() { "no edge on a border".into() } else { format!("at vertices {}", at.join(", ")) };
         return Err(CodecError::Mesh(format!(
-            "not a disk: {} boundary loops, Euler characteristic {}, {} pieces (1 of each wanted)",
+            "not a disk: {} boundary loops ({at}), Euler characteristic {}, {} pieces (1 of each wanted)",
             loops.len(),
             half_edges.euler_characteristic(),
             half_edges.triangle_components().1
@@ -454,6 +457,62 @@ mod tests {
                 let holds = if on_border { (z.length() - 1.0).abs() < 1e-12 } else { z.length() < 1.0 };
                 prop_assert!(holds, "vertex {} at {}", v, z);
             }
+        }
+    }
+
+    /// Random points in a disk of 100 mm and on its rim, Delaunay: each falls into a triangle, then edges are flipped.
+    fn random_delaunay_disk(seed: u64, inside: u32, rim: u32) -> TriMesh {
+        let mut noise = noise(seed);
+        let at = |angle: f64, r: f32| Vec3::new(angle.cos() as f32, angle.sin() as f32, 0.0) * r;
+        let mut mesh = TriMesh::default();
+        mesh.positions_mm.extend((0..rim).map(|i| at(TAU * f64::from(i) / f64::from(rim), 100.0)));
+        mesh.triangles.extend((1..rim - 1).map(|i| [0, i, i + 1]));
+        while mesh.positions_mm.len() < (inside + rim) as usize {
+            let p = at(TAU * f64::from(noise()), 95.0 * (noise() + 0.5).sqrt());
+            let points = &mesh.positions_mm;
+            let left = |a: u32, b: u32| {
+                let (a, b) = (points[a as usize], points[b as usize]);
+                (b - a).truncate().perp_dot((p - a).truncate()) > 1e-2
+            };
+            let around = |t: &[u32; 3]| left(t[0], t[1]) && left(t[1], t[2]) && left(t[2], t[0]);
+            let Some(t) = mesh.triangles.iter().position(around) else { continue };
+            let (n, [a, b, c]) = (mesh.positions_mm.len() as u32, mesh.triangles[t]);
+            mesh.triangles[t] = [a, b, n];
+            mesh.triangles.extend([[b, c, n], [c, a, n]]);
+            mesh.positions_mm.push(p);
+        }
+        let twin = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap().twin;
+        let mut intrinsic = IntrinsicMesh::new(&mesh, &twin);
+        intrinsic.make_delaunay();
+        mesh.triangles = intrinsic.origin.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+        mesh
+    }
+
+    proptest! {
+        #[test]
+        fn random_delaunay_disks_have_no_intrinsic_flip(seed in 0u64..100_000, inside in 20u32..150, rim in 8u32..40) {
+            let mut mesh = random_delaunay_disk(seed, inside, rim);
+            for p in &mut mesh.positions_mm {
+                p.z = 20.0 * (p.x * 0.03).sin() + 0.002 * p.x * p.y;
+            }
+            let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
+            let border = single_border(&mesh, &half_edges).unwrap();
+            let intrinsic = intrinsic_disk(&mesh, &half_edges, &border, &vec![false; mesh.triangles.len()]).unwrap();
+            let system = HarmonicSystem::assemble(&intrinsic, &border);
+            let mut slot = None;
+            let factor = system.factorize(&mut slot, &mesh.positions_mm).unwrap();
+            let centre = deepest_vertex(&half_edges, &border);
+            let theta = border_angles(&intrinsic, &system.harmonic_measure(factor, centre), &border);
+            let points = system.extend(factor, &border, &on_circle(&theta));
+            for t in intrinsic.origin.chunks_exact(3) {
+                prop_assert!(signed_area(&points, [t[0], t[1], t[2]]) > -1e-9);
+            }
+            let map = disk_map(&mesh).unwrap();
+            let n = map.border.len();
+            let at = |i: usize| map.points[map.border[i % n] as usize];
+            prop_assert!((0..n).all(|i| (at(i).length() - 1.0).abs() < 1e-12 && at(i).angle_to(at(i + 1)) > 0.0));
+            let sum: f64 = (0..n).map(|i| at(i).angle_to(at(i + 1))).sum();
+            prop_assert!((sum - TAU).abs() < 1e-9);
         }
     }
 

@@ -33,7 +33,8 @@ pub struct Flatten {
     /// How to map.
     #[arg(long, value_enum, default_value_t = Method::Green)]
     method: Method,
-    /// Turn no triangle of the mesh over, at a little cost in angles (method green).
+    /// Turn triangles back that the map turns over, at a cost in angles (method green); the report says how many are
+    /// left, usually none.
     #[arg(long)]
     unflip: bool,
     /// Vertex at the centre of the disk, counted from 1 (method green; the innermost by default).
@@ -45,9 +46,10 @@ pub struct Flatten {
     /// Cut open a closed surface where it faces away from +z, instead of refusing it.
     #[arg(long, conflicts_with = "no_repair")]
     open_closed: bool,
-    /// Clip a ragged border along a smooth curve a vertex or two inside.
+    /// Only smooth a ragged border, instead of clipping it along a smooth curve a vertex or two inside: more triangles
+    /// turn over.
     #[arg(long, conflicts_with = "no_repair")]
-    clip_border: bool,
+    keep_border: bool,
     /// Picture to draw: a checkerboard on the disk, carried back to the surface (PNG).
     #[arg(long, value_name = "PNG")]
     checkerboard: Option<PathBuf>,
@@ -107,6 +109,9 @@ struct FlattenReport {
     flips: usize,
     /// Largest distance of a border vertex from the unit circle.
     boundary_deviation: f64,
+    /// Whether flips are left although none was wanted.
+    #[serde(skip)]
+    unflip_failed: bool,
     #[serde(skip)]
     histogram: [usize; HISTOGRAM_BOUNDS_DEG.len()],
     #[serde(skip)]
@@ -175,6 +180,7 @@ impl Flatten {
                 max: errors.max_deg,
             },
             flips: map.flips,
+            unflip_failed: self.unflip && map.flips > 0,
             boundary_deviation: map.border.iter().map(deviation).fold(0.0, f64::max),
             histogram: errors.histogram,
             notes,
@@ -202,7 +208,7 @@ impl Flatten {
             return Ok(mesh);
         }
         let options =
-            RepairOptions { open_closed: self.open_closed, clip_border: self.clip_border, ..Default::default() };
+            RepairOptions { open_closed: self.open_closed, clip_border: !self.keep_border, ..Default::default() };
         let (disk, report) = to_disk(&mesh, &options).with_context(|| format!("{name}: cannot be repaired"))?;
         notes.push(format!("repair: {report}"));
         Ok(disk)
@@ -287,7 +293,12 @@ fn describe(r: &FlattenReport) -> String {
         let share = 100.0 * count as f64 / corners;
         let _ = writeln!(text, "    up to {bound:>5} {share:>7.3} % {}", "#".repeat((share * 0.4).round() as usize));
     }
-    let _ = writeln!(text, "  turned over  {} triangles", r.flips);
+    let _ = writeln!(
+        text,
+        "  turned over  {} triangles{}",
+        r.flips,
+        if r.unflip_failed { " that --unflip leaves" } else { "" }
+    );
     let _ = writeln!(text, "  border       {:.1e} off the unit circle at most", r.boundary_deviation);
     let stages = r.ms.iter().filter(|(stage, _)| !["total", "repair"].contains(*stage));
     let stages: Vec<String> = stages.map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();
@@ -371,7 +382,8 @@ mod tests {
         holed.triangles.retain(|t| !t.contains(&300));
         let holed = file("holed.obj", &holed);
         assert!(error(&[&holed, "--no-repair"]).contains("1 pieces with 2 borders are no disk"));
-        assert!(run(&[&holed]).unwrap().report.contains("1 holes filled"));
+        assert!(run(&[&holed, "--keep-border"]).unwrap().report.contains("1 holes filled"));
+        assert!(run(&[&holed]).unwrap().report.contains("clipped off a ragged border"));
         assert!(error(&[&holed, "--method", "sphere"]).contains("not closed: edge"));
         assert!(error(&[&holed, "--method", "sphere", "--checkerboard", "x.png"]).contains("checkerboard"));
         assert!(error(&[&holed, "--method", "qiem", "--unflip"]).contains("belong to the method green"));

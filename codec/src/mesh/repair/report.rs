@@ -42,6 +42,11 @@ pub struct RepairReport {
 }
 
 impl RepairReport {
+    /// Number in the input, from 1, of the first vertex of `ring` that was in it.
+    pub(super) fn first_known(&self, ring: &[u32]) -> Option<String> {
+        ring.iter().map(|&v| self.source[v as usize]).find(|&v| v != u32::MAX).map(|v| (v + 1).to_string())
+    }
+
     /// Whether more was mended than a ragged border, which every scan has.
     pub fn has_damage(&self) -> bool {
         let counts = [

@@ -70,6 +70,15 @@ impl<'a> Surface<'a> {
         pieces.peek().is_some() && pieces.all(|t| !self.is_border_triangle(t))
     }
 
+    /// Why a closed surface is refused, with an edge that shows it.
+    pub(super) fn closed_message(&self) -> String {
+        let h = 3 * self.alive.iter().position(|&alive| alive).unwrap_or(0);
+        let (a, b) = (self.origin[h] + 1, self.origin[h + 1] + 1);
+        format!(
+            "is closed: edge {a}-{b}, like all others, has two triangles; a scan has a border (--open-closed cuts its back away)"
+        )
+    }
+
     /// Turns triangles round until neighbours agree, the majority of every piece unturned; how many were turned.
     fn orient(&mut self) -> Result<usize> {
         let same = |s: &Self, h: usize| s.twin[h] != NONE && s.origin[s.twin[h] as usize] == s.origin[h];
