@@ -13,7 +13,7 @@ use gv3::files::{obj::read_obj, picture::read_picture};
 use gv3_codec::mesh::{Bvh, TriMesh};
 use gv3_codec::motion::{PixelMap, Track, Tracker, TrackerOptions};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::Duration;
 
 const INTERVAL: usize = 10;
 
@@ -27,6 +27,12 @@ fn data() -> Option<PathBuf> {
 
 fn mesh(folder: &Path, kind: &str, scan: usize) -> TriMesh {
     read_obj(&folder.join(kind).join(format!("frame_{scan:04}.obj"))).unwrap().mesh
+}
+
+/// Time that this thread has run on a processor, where the system tells it.
+fn cpu_time() -> Duration {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+    Duration::from_nanos(text.split(' ').next().and_then(|n| n.parse().ok()).unwrap_or(0))
 }
 
 /// Landmarks on the surface of a keyframe.
@@ -64,12 +70,12 @@ fn landmarks_drift_little_over_ten_scans() {
     for i in 0..scans {
         let scan = mesh(&folder, "grid", i);
         let picture = read_picture(&folder.join("grid").join(format!("frame_{i:04}.bmp"))).unwrap();
-        let start = Instant::now();
+        let start = cpu_time();
         let map = PixelMap::new(&scan, picture.width_px, picture.height_px).unwrap();
-        let drawn = Instant::now();
+        let drawn = cpu_time();
         tracker.feed(&picture, &map.mask(), i % INTERVAL == 0);
         map_ms += (drawn - start).as_secs_f64() * 1e3;
-        feed_ms += drawn.elapsed().as_secs_f64() * 1e3;
+        feed_ms += (cpu_time() - drawn).as_secs_f64() * 1e3;
         if i % INTERVAL != 0 {
             continue;
         }
@@ -88,6 +94,6 @@ fn landmarks_drift_little_over_ten_scans() {
     let (median, p95) = (quantile(&all, 0.5), quantile(&all, 0.95));
     let alive = all.len() as f32 / begun as f32;
     println!("all: median {median:.3} mm, p95 {p95:.3} mm, {:.1} % alive", 100.0 * alive);
-    println!("feed {:.1} ms, map {:.1} ms a picture, by the clock", feed_ms / scans as f64, map_ms / scans as f64);
+    println!("feed {:.1} ms, map {:.1} ms a picture on one core", feed_ms / scans as f64, map_ms / scans as f64);
     assert!(median <= 0.08 && p95 <= 0.45 && alive >= 0.94, "{median} {p95} {alive}");
 }
