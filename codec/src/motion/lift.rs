@@ -126,14 +126,27 @@ impl<'m> PixelMap<'m> {
             if !weights.iter().all(|w| *w >= -EDGE_TOLERANCE) {
                 continue;
             }
-            let barycentric = weights.map(|w| w.clamp(0.0, 1.0) as f32);
-            let [a, b, c] = self.mesh.corners(triangle as usize);
-            let position_mm = a * barycentric[0] + b * barycentric[1] + c * barycentric[2];
-            if best.is_none_or(|seen| position_mm.z > seen.position_mm.z) {
-                best = Some(SurfacePoint { triangle, barycentric, position_mm });
+            let point = self.point(triangle, weights);
+            if best.is_none_or(|seen| point.position_mm.z > seen.position_mm.z) {
+                best = Some(point);
             }
         }
         best
+    }
+
+    /// The surface point seen at the centre of a pixel, row-major; cheaper than [`Self::lift`] where all pixels are asked for.
+    pub(super) fn seen(&self, pixel: usize) -> Option<SurfacePoint> {
+        let triangle = *self.triangle_at.get(pixel).filter(|t| **t != u32::MAX)?;
+        let planar = Planar::of(self.corners_px(triangle as usize))?;
+        let weights = planar.barycentric((pixel % self.width) as f64, (pixel / self.width) as f64);
+        Some(self.point(triangle, weights))
+    }
+
+    fn point(&self, triangle: u32, weights: [f64; 3]) -> SurfacePoint {
+        let barycentric = weights.map(|w| w.clamp(0.0, 1.0) as f32);
+        let [a, b, c] = self.mesh.corners(triangle as usize);
+        let position_mm = a * barycentric[0] + b * barycentric[1] + c * barycentric[2];
+        SurfacePoint { triangle, barycentric, position_mm }
     }
 
     fn corners_px(&self, triangle: usize) -> [[f32; 2]; 3] {
