@@ -282,7 +282,8 @@ mod tests {
             let mut landmarks = landmarks;
             landmarks.retain(|l| seen.insert((l.scan, l.name.clone())));
             let text = landmarks_csv(&landmarks, Path::new("l.csv")).unwrap();
-            prop_assert_eq!(parse(&text).unwrap().landmarks(), &landmarks[..]);
+            let table = parse(&text).unwrap();
+            prop_assert_eq!(table.landmarks(), &landmarks[..]);
             for n in 0..text.len() {
                 let _ = LandmarkTable::parse(&text.as_bytes()[..n], Path::new("l.csv"));
                 let mut bad = text.clone().into_bytes();
