@@ -9,6 +9,7 @@ pub mod board_corners;
 #[cfg(test)]
 mod damage_tests;
 mod error;
+pub mod landmarks_csv;
 pub mod obj;
 pub mod picture;
 pub mod ply;
@@ -20,6 +21,7 @@ mod spool;
 
 pub use assemble::{MeshFile, Repairs};
 pub use error::{FileError, Result};
+pub use landmarks_csv::LandmarkTable;
 pub use processing_config::ProcessingConfig;
 pub use raw_folder::RawFolder;
 pub(crate) use scan_export::write_whole;
