@@ -16,6 +16,14 @@ pub(super) struct Surface<'a> {
     alive: Vec<bool>,
 }
 
+/// What surrounds a vertex: the other corners of its triangles, and twice the length of the edges across from it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Ring {
+    corners: u32,
+    sum: Vec3,
+    doubled_length: f32,
+}
+
 impl<'a> Surface<'a> {
     /// Usable triangles, paired and oriented; edges with more than two triangles are cut out.
     pub(super) fn new(mesh: &'a TriMesh, report: &mut RepairReport) -> Result<Self> {
@@ -145,35 +153,48 @@ impl<'a> Surface<'a> {
     /// around spikes, vertices far from the middle of their neighbours for the size of the ring these form, then those
     /// around the blunt corner of slivers.
     pub(super) fn cut_spikes_and_slivers(&mut self, options: &RepairOptions, report: &mut RepairReport) {
-        let mut rings = vec![(0u32, Vec3::ZERO, 0f32); self.mesh.vertex_count()];
-        for h in (0..self.origin.len()).filter(|&h| self.alive[h / 3]) {
-            let [a, b] = [next(h as u32), prev(h as u32)].map(|h| self.position(h));
-            let ring = &mut rings[self.origin[h] as usize];
-            *ring = (ring.0 + 2, ring.1 + a + b, ring.2 + 2.0 * a.distance(b));
-        }
+        let (rings, slivers) = self.rings_and_slivers(options.min_inner_quality);
         let spike = |v: u32| {
-            let (count, sum, length) = rings[v as usize];
-            let away = self.mesh.positions_mm[v as usize] * count as f32 - sum;
-            count > 0 && away.length() > options.max_spike_ratio * length
+            let Ring { corners, sum, doubled_length } = rings[v as usize];
+            let away = self.mesh.positions_mm[v as usize] * corners as f32 - sum;
+            corners > 0 && away.length_squared() > (options.max_spike_ratio * doubled_length).powi(2)
         };
         let mut cut: Vec<bool> = (0..self.mesh.vertex_count() as u32).map(spike).collect();
         report.spike_triangles += self.remove_around(&cut);
         cut.fill(false);
-        for t in
-            (0..self.alive.len()).filter(|&t| self.alive[t] && quality(self.corners(t)) < options.min_inner_quality)
-        {
-            let length2 = |h: u32| self.position(next(h)).distance_squared(self.position(prev(h)));
-            let blunt = (3 * t as u32..3 * t as u32 + 3).max_by(|&g, &h| length2(g).total_cmp(&length2(h)));
-            cut[self.origin[blunt.unwrap_or(3 * t as u32) as usize] as usize] = true;
+        for t in slivers.into_iter().filter(|&t| self.alive[t]) {
+            let [a, b, c] = self.corners(t);
+            let opposite2 = [b.distance_squared(c), c.distance_squared(a), a.distance_squared(b)];
+            let blunt = (1..3).fold(0, |best, k| if opposite2[k] >= opposite2[best] { k } else { best });
+            cut[self.origin[3 * t + blunt] as usize] = true;
         }
         report.sliver_triangles += self.remove_around(&cut);
     }
 
-    fn position(&self, h: u32) -> Vec3 {
-        self.mesh.positions_mm[self.origin[h as usize] as usize]
+    /// What surrounds each vertex, and the triangles of a shape quality below `min_quality`.
+    fn rings_and_slivers(&self, min_quality: f32) -> (Vec<Ring>, Vec<usize>) {
+        let mut rings = vec![Ring::default(); self.mesh.vertex_count()];
+        let mut slivers = Vec::new();
+        for t in (0..self.alive.len()).filter(|&t| self.alive[t]) {
+            let corners = self.corners(t);
+            for k in 0..3 {
+                let (b, c) = (corners[(k + 1) % 3], corners[(k + 2) % 3]);
+                let ring = &mut rings[self.origin[3 * t + k] as usize];
+                ring.corners += 2;
+                ring.sum += b + c;
+                ring.doubled_length += 2.0 * b.distance(c);
+            }
+            if quality(corners) < min_quality {
+                slivers.push(t);
+            }
+        }
+        (rings, slivers)
     }
 
     fn remove_around(&mut self, cut: &[bool]) -> usize {
+        if !cut.contains(&true) {
+            return 0;
+        }
         self.remove_where(|s, t| (3 * t..3 * t + 3).any(|h| cut[s.origin[h] as usize]))
     }
 
