@@ -60,27 +60,7 @@ fn disks_map_without_flips_and_nearly_without_angle_error() {
 }
 
 /// What the pictures of the real board show.
-const BOARD_SEQUENCE: &str = r##"
-    pictures = "graycode_##.png"
-    [sequence]
-    width_px = 1024
-    height_px = 768
-    [[sequence.patterns]]
-    kind = "gray"
-    bits = 10
-    pairs = true
-    [[sequence.patterns]]
-    kind = "gray"
-    bits = 10
-    pairs = true
-    direction = "rows"
-    [[sequence.patterns]]
-    kind = "white"
-    [[sequence.patterns]]
-    kind = "black"
-    [limits.mask]
-    min_modulation = 10.0
-"##;
+const BOARD_SEQUENCE: &str = include_str!("../board.toml");
 
 /// The point nearest to the rays of a camera pixel and of a projector pixel, camera frame, mm, and the rays' distance there.
 fn between_rays(rig: &Calibration, camera_px: DVec2, projector_px: DVec2) -> (DVec3, f64) {

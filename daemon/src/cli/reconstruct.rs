@@ -273,32 +273,7 @@ mod tests {
         reconstruct: Reconstruct,
     }
 
-    const KAMINO: &str = r##"
-        pictures = "graycode_##.png"
-        [sequence]
-        width_px = 1024
-        height_px = 768
-        [[sequence.patterns]]
-        kind = "gray"
-        bits = 10
-        pairs = true
-        [[sequence.patterns]]
-        kind = "gray"
-        bits = 10
-        pairs = true
-        direction = "rows"
-        [[sequence.patterns]]
-        kind = "white"
-        [[sequence.patterns]]
-        kind = "black"
-        [limits.mask]
-        min_modulation = 10.0
-        [limits.depth]
-        near_mm = 2500.0
-        far_mm = 4500.0
-        [limits.mesh]
-        max_depth_step_mm = 25.0
-    "##;
+    const KAMINO: &str = include_str!("../../../tests/board.toml");
 
     fn path(p: &Path) -> &str {
         p.to_str().unwrap()

@@ -14,10 +14,13 @@ pub use reconstruct::{Reconstruction, Reconstructor};
 pub use record::{RecordError, RecordSettings, Recorded, record};
 pub use still::StillReconstructor;
 
-use crate::light::{Calibration, LightError, PatternSequence};
+use crate::light::{Calibration, LightError, Limits, PatternSequence};
 
-/// Patterns and calibration are for the same projector.
-fn check_projector(calibration: &Calibration, sequence: &PatternSequence) -> Result<(), LightError> {
+/// Calibration, patterns and limits are sound, and patterns and calibration are for the same projector.
+fn check_rig(calibration: &Calibration, sequence: &PatternSequence, limits: &Limits) -> Result<(), LightError> {
+    calibration.validate()?;
+    sequence.validate()?;
+    limits.validate()?;
     let [width, height] = [calibration.projector.width_px, calibration.projector.height_px];
     if [sequence.width_px, sequence.height_px] == [width, height] {
         return Ok(());

@@ -217,10 +217,7 @@ impl Reconstructor {
         limits: &Limits,
         processing: &Processing,
     ) -> Result<Self, LightError> {
-        calibration.validate()?;
-        sequence.validate()?;
-        limits.validate()?;
-        super::check_projector(calibration, sequence)?;
+        super::check_rig(calibration, sequence, limits)?;
         let size_px = [calibration.camera.width_px, calibration.camera.height_px];
         let [width, height] = size_px.map(|n| n as usize);
         let decoding = Decoding::new(calibration, sequence, limits, processing)?;

@@ -38,10 +38,7 @@ impl StillReconstructor {
         limits: &Limits,
         processing: &Processing,
     ) -> Result<Self, LightError> {
-        calibration.validate()?;
-        sequence.validate()?;
-        limits.validate()?;
-        super::check_projector(calibration, sequence)?;
+        super::check_rig(calibration, sequence, limits)?;
         if processing.motion != MotionCorrection::None {
             let reason = "a single scan has no frame set before it to see motion with; leave the key out";
             return Err(LightError::field("processing.motion", reason));
