@@ -5,7 +5,7 @@
 
 pub mod bits;
 mod error;
-mod linalg;
+pub mod linalg;
 pub mod mesh;
 pub mod metrics;
 pub mod motion;

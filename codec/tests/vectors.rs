@@ -165,7 +165,7 @@ fn invalid_connectivity() -> Vec<Invalid> {
     };
     let thrice = thrice.payload();
     vec![
-        ("group-vertices-above", of([(1 << 22) + 1, 6, 6], &LETTERS), "vertex count is 4194305"),
+        ("group-vertices-above", of([(1 << 18) + 1, 6, 6], &LETTERS), "vertex count is 262145"),
         ("group-border-above", of([7, 8, 4], &LETTERS), "border count is 8"),
         ("group-border-2", of([4, 2, 4], &[2; 4]), "are no disk"),
         ("group-triangles", of([7, 6, 7], &LETTERS), "are no disk"),

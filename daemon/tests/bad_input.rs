@@ -512,6 +512,123 @@ fn what_lies_outside_the_session_is_named() {
     fails(&place, "measure face.gv3 --against none", &["none", "no scans here"]);
 }
 
+const BOARD_RIG: &str = "[camera]
+width_px = 96
+height_px = 72
+fx_px = 150.0
+fy_px = 150.0
+cx_px = 48.0
+cy_px = 36.0
+[projector]
+width_px = 96
+height_px = 72
+fx_px = 150.5
+fy_px = 150.5
+cx_px = 48.0
+cy_px = 36.0
+[projector_from_camera]
+rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+translation_mm = [-100.0, 0.0, 0.0]
+";
+
+/// A place with pattern pictures as a capture in `board/`, its sequence, and a calibration for their size in `rig.toml`.
+fn board() -> Place {
+    let place = Place::new();
+    place.gv3("patterns multi-frequency --size 96x72 --period 12 --ratio 4 --steps 4 -o board").done();
+    place.gv3("patterns white-black --size 96x72 -o flat").done();
+    place.write("rig.toml", BOARD_RIG);
+    place
+}
+
+const RECONSTRUCT: &str = "reconstruct board --sequence board/sequence.toml --calibration rig.toml -o scan";
+
+#[test]
+fn a_pattern_picture_that_cannot_be_is_named() {
+    let place = board();
+    // Every camera pixel sees the projector's pixel of its own number: nothing is within reach, but every step is done.
+    fails(&place, RECONSTRUCT, &["board: no surface", "rejected pixels", "saturated"]);
+    let (white, black) = (place.read("flat/pattern_000.png"), place.read("flat/pattern_001.png"));
+    for (name, bytes, parts) in [
+        ("pattern_002.png", &black, ["board/pattern_002.png", "all black"]),
+        ("pattern_003.png", &white, ["board/pattern_003.png", "all saturated"]),
+        ("pattern_009.png", &white[..40].to_vec(), ["board/pattern_009.png", "png"]),
+    ] {
+        let good = place.read(&format!("board/{name}"));
+        place.write(&format!("board/{name}"), bytes);
+        fails(&place, RECONSTRUCT, &parts);
+        fails(&place, &RECONSTRUCT.replacen("reconstruct", "calibrate-gamma", 1), &parts);
+        place.write(&format!("board/{name}"), good);
+    }
+    place.gv3("patterns n-step --size 48x36 -o small").done();
+    place.write("board/pattern_004.png", place.read("small/pattern_000.png"));
+    fails(&place, RECONSTRUCT, &["board/pattern_004.png", "48 x 36 pixels, but the pictures before it have 96 x 72"]);
+    std::fs::remove_file(place.path("board/pattern_004.png")).unwrap();
+    fails(&place, RECONSTRUCT, &["board/pattern_004.png", "missing", "picture 5 of"]);
+}
+
+#[test]
+fn a_rig_that_does_not_fit_the_pictures_is_named() {
+    let place = board();
+    for (from, to, parts) in [
+        ("width_px = 96\nheight_px = 72\nfx_px = 150.0", "width_px = 640\nheight_px = 480\nfx_px = 150.0", "640 x 480"),
+        (
+            "width_px = 96\nheight_px = 72\nfx_px = 150.5",
+            "width_px = 100\nheight_px = 72\nfx_px = 150.5",
+            "has 100 x 72",
+        ),
+        ("fx_px = 150.0", "fx_px = nan", "camera.fx_px"),
+        ("fx_px = 150.5", "fx_px = -1.0", "projector.fx_px"),
+        ("-100.0, 0.0", "inf, 0.0", "projector_from_camera"),
+    ] {
+        place.write("rig.toml", BOARD_RIG.replace(from, to));
+        fails(&place, RECONSTRUCT, &[parts]);
+    }
+}
+
+#[test]
+fn processing_that_the_sequence_does_not_allow_is_named() {
+    let place = board();
+    let sequence = String::from_utf8(place.read("board/sequence.toml")).unwrap();
+    for (choice, parts) in [
+        ("unwrap = \"geometric\"", ["processing.unwrap", "one burst"]),
+        ("motion = \"phase_rate\"", ["processing.motion", "single scan"]),
+        ("gamma_file = \"nowhere.toml\"", ["board/nowhere.toml", "No such file"]),
+        ("gamma_file = \"../rig.toml\"", ["rig.toml", "unknown field"]),
+    ] {
+        place.write("board/sequence.toml", format!("{sequence}\n[processing]\n{choice}\n"));
+        fails(&place, RECONSTRUCT, &parts);
+    }
+    place.write("board/sequence.toml", &sequence);
+    place.write("gamma.toml", "bursts = []");
+    fails(&place, &format!("{RECONSTRUCT} --gamma gamma.toml"), &["no burst of period 192 px", "calibrate-gamma"]);
+    place.write("gamma.toml", "[[bursts]]\nperiod_px = 16.0\nshifts_rad = [0.0]\nerror_rad = [nan]\n");
+    fails(&place, &format!("{RECONSTRUCT} --gamma gamma.toml"), &["gamma.toml", "1 entries, expected 256"]);
+}
+
+#[test]
+fn a_rig_that_cannot_scan_leaves_no_session() {
+    let place = Place::new();
+    let three = include_str!("../../config/three-pattern.toml");
+    for (from, to, parts) in [
+        ("period_px = 144.0", "period_px = 100.0", ["100.0 px, covers neither", "far_mm = "]),
+        ("far_mm = 660.0", "far_mm = 900.0", ["555..900 mm", "take a period of"]),
+        ("far_mm = 660.0", "far_mm = nan", ["depth.far_mm", "NaN"]),
+        ("steps = 3", "steps = 3\ndirection = \"rows\"", ["sequence.patterns", "code Columns"]),
+        ("width_px = 912", "width_px = 800", ["sequence.width_px", "912"]),
+        (
+            "steps = 3",
+            "steps = 3\n[[sequence.patterns]]\nperiod_px = 20.0\nsteps = 3",
+            ["processing.unwrap", "one burst"],
+        ),
+        ("unwrap = \"geometric\"", "gamma_file = \"nowhere.toml\"", ["processing.gamma_file", "nowhere.toml"]),
+        ("fx_px = 1180.0", "fx_px = nan", ["camera.fx_px", "NaN"]),
+    ] {
+        assert!(three.contains(from), "{from}");
+        place.write("rig.toml", three.replacen(from, to, 1));
+        fails(&place, "capture out.gv3 --config rig.toml --seconds 0.1", &parts);
+    }
+}
+
 #[test]
 fn wrong_usage_gives_two_and_says_what_is_right() {
     let place = session();

@@ -2,8 +2,11 @@
 //! workspace otherwise.
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
+use gv3::files::RawFolder;
 use gv3::files::obj::read_obj;
+use gv3::light::{Board, Calibration};
+use gv3::pipeline::read_board_view;
 use gv3_codec::mesh::TriMesh;
 use gv3_codec::mesh::repair::{RepairOptions, to_disk};
 use gv3_codec::param::disk::disk_map;
@@ -54,4 +57,51 @@ fn disks_map_without_flips_and_nearly_without_angle_error() {
         assert!(error_deg < limit_deg, "{name}: {error_deg} degrees");
         assert!(map.points.iter().all(|z| z.length() <= 1.0 + 1e-9), "{name}");
     }
+}
+
+/// What the pictures of the real board show.
+const BOARD_SEQUENCE: &str = include_str!("../board.toml");
+
+/// The point nearest to the rays of a camera pixel and of a projector pixel, camera frame, mm, and the rays' distance there.
+fn between_rays(rig: &Calibration, camera_px: DVec2, projector_px: DVec2) -> (DVec3, f64) {
+    let pose = rig.projector_from_camera;
+    let back = pose.matrix().transpose();
+    let a = rig.camera.unproject(camera_px).unwrap().extend(1.0);
+    let b = back * rig.projector.unproject(projector_px).unwrap().extend(1.0);
+    let centre = -(back * pose.translation());
+    let normal = a.cross(b);
+    let (s, t) = (centre.cross(b).dot(normal), centre.cross(a).dot(normal));
+    let (p, q) = (a * s / normal.length_squared(), centre + b * t / normal.length_squared());
+    (0.5 * (p + q), p.distance(q))
+}
+
+#[test]
+fn corners_of_a_real_board_are_75_mm_apart() {
+    let Some(folder) = shared("kamino") else { return };
+    let work = tempfile::tempdir().unwrap();
+    let path = work.path().join("sequence.toml");
+    std::fs::write(&path, BOARD_SEQUENCE).unwrap();
+    let raw = RawFolder::read(&path).unwrap();
+    let board = Board { columns: 9, rows: 7, square_mm: 75.0 };
+    let view = read_board_view(&folder.join("capture_0"), &raw, &board).unwrap();
+    let text = std::fs::read_to_string(folder.join("kamino_calibration.json")).unwrap();
+    let rig = Calibration::from_json(&text, [1280, 1024], [1024, 768]).unwrap();
+    let place = |i: usize| Some(between_rays(&rig, view.camera_px[i].into(), view.projector_px[i]?.into()));
+    let points: Vec<Option<(DVec3, f64)>> = (0..board.corner_count()).map(place).collect();
+    let gaps: Vec<f64> = points.iter().flatten().map(|p| p.1).collect();
+    let apart = |a: usize, b: usize| Some(points[a]?.0.distance(points[b]?.0));
+    let along = (0..63).filter(|i| i % 9 > 0).filter_map(|i| apart(i, i - 1));
+    let spacings: Vec<f64> = along.chain((9..63).filter_map(|i| apart(i, i - 9))).collect();
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+    let mean_mm = mean(&spacings);
+    let sd_mm = mean(&spacings.iter().map(|s| (s - mean_mm).powi(2)).collect::<Vec<_>>()).sqrt();
+    println!(
+        "{} of 63 corners, rays {:.2} mm apart, {} spacings: {mean_mm:.3} mm, sd {sd_mm:.3} mm",
+        gaps.len(),
+        mean(&gaps),
+        spacings.len()
+    );
+    assert!(gaps.len() >= 60, "{} of 63 corners", gaps.len());
+    assert!((mean_mm / 75.0 - 1.0).abs() < 0.005, "{mean_mm} mm");
+    assert!(sd_mm < 1.5, "{sd_mm} mm");
 }

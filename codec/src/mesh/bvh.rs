@@ -38,6 +38,20 @@ impl Nearest {
     }
 }
 
+/// Where a ray first meets a mesh.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RayHit {
+    /// Index into `TriMesh::triangles`.
+    pub triangle: u32,
+    /// Distance from the ray's origin, millimetres.
+    pub distance_mm: f32,
+    /// Weights of the triangle's corners at that point; they sum to 1.
+    pub barycentric: [f32; 3],
+}
+
+/// Weights down to this below zero count as inside, so that no ray slips through between neighbours.
+const EDGE_SLACK: f64 = 1e-6;
+
 /// Hierarchy over the triangles of one mesh; keeps its own copy of the corners.
 #[derive(Debug, Clone)]
 pub struct Bvh {
@@ -175,7 +189,70 @@ impl Bvh {
     }
 }
 
+impl Bvh {
+    /// Where the ray from `origin` along `direction` (of any length) first meets the mesh, on either side of a triangle
+    /// and no farther than `max_distance_mm` (infinity allowed). `None` when it does not, or when origin or direction is
+    /// not finite or the direction zero.
+    pub fn first_hit(&self, origin: Vec3, direction: Vec3, max_distance_mm: f32) -> Option<RayHit> {
+        let direction = direction.try_normalize()?;
+        if !origin.is_finite() || self.nodes.is_empty() {
+            return None;
+        }
+        // A zero would give 0 x infinity on the face of a box.
+        let inverse = direction.map(|d| if d.abs() < 1e-30 { 1e30 } else { 1.0 / d });
+        let (mut best, mut reach) = (None, max_distance_mm);
+        let mut stack = [(0u32, 0f32); STACK];
+        let mut depth = 1;
+        while depth > 0 {
+            depth -= 1;
+            let (child, entry) = stack[depth];
+            if entry > reach {
+                continue;
+            }
+            if child & LEAF_BIT != 0 {
+                let first = (child & !LEAF_BIT) as usize / 8;
+                for triangle in &self.leaves[first..first + child as usize % 8] {
+                    if let Some(hit) = triangle.hit(origin, direction).filter(|hit| hit.distance_mm <= reach) {
+                        reach = hit.distance_mm;
+                        best = Some(hit);
+                    }
+                }
+                continue;
+            }
+            let node = &self.nodes[child as usize];
+            let base = depth;
+            for (&child, [entry, exit]) in node.child.iter().zip(node.crossings(origin, inverse)) {
+                if child != EMPTY && entry <= exit && entry <= reach {
+                    let mut at = depth;
+                    while at > base && stack[at - 1].1 < entry {
+                        stack[at] = stack[at - 1];
+                        at -= 1;
+                    }
+                    stack[at] = (child, entry);
+                    depth += 1;
+                }
+            }
+        }
+        best
+    }
+}
+
 impl Node {
+    /// Where a ray enters and leaves the four boxes, never before its origin; boxes that it misses are left before they
+    /// are entered.
+    #[inline]
+    fn crossings(&self, origin: Vec3, inverse: Vec3) -> [[f32; 2]; 4] {
+        let mut spans = [[0f32, f32::INFINITY]; 4];
+        for axis in 0..3 {
+            for (span, (lo, hi)) in spans.iter_mut().zip(self.lo[axis].iter().zip(&self.hi[axis])) {
+                let (a, b) = ((lo - origin[axis]) * inverse[axis], (hi - origin[axis]) * inverse[axis]);
+                // Rounding may shorten a flat box to nothing.
+                *span = [span[0].max(a.min(b) * (1.0 - 1e-6)), span[1].min(a.max(b) * (1.0 + 1e-6))];
+            }
+        }
+        spans
+    }
+
     /// Squared distances from `p` to the four boxes; infinite for an empty child.
     #[inline]
     fn distances2(&self, p: Vec3) -> [f32; 4] {
@@ -232,6 +309,26 @@ impl Triangle {
         }
         let sum = va + vb + vc;
         if sum > 0.0 { at(vb / sum, vc / sum) } else { at(0.0, 0.0) }
+    }
+}
+
+impl Triangle {
+    /// Intersection with a ray of unit direction (Möller and Trumbore 1997), from either side.
+    fn hit(&self, origin: Vec3, direction: Vec3) -> Option<RayHit> {
+        let [a, ab, ac, o, d] = [self.a, self.ab, self.ac, origin, direction].map(|p| p.as_dvec3());
+        let across = d.cross(ac);
+        let determinant = ab.dot(across);
+        if determinant == 0.0 {
+            return None;
+        }
+        let from_a = o - a;
+        let v = from_a.dot(across) / determinant;
+        let along = from_a.cross(ab);
+        let w = d.dot(along) / determinant;
+        let distance = ac.dot(along) / determinant;
+        let inside = v >= -EDGE_SLACK && w >= -EDGE_SLACK && v + w <= 1.0 + EDGE_SLACK && distance >= 0.0;
+        let (v, w) = (v as f32, w as f32);
+        inside.then_some(RayHit { triangle: self.id, distance_mm: distance as f32, barycentric: [1.0 - v - w, v, w] })
     }
 }
 
@@ -303,7 +400,46 @@ mod tests {
         assert!((u - 0.25).abs() < 1e-6 && (v - 0.5).abs() < 1e-6);
     }
 
+    #[test]
+    fn rays_meet_a_sphere_where_geometry_says() {
+        let mesh = super::super::test_surfaces::sphere(12, 10.0);
+        let bvh = Bvh::new(&mesh);
+        for p in &mesh.positions_mm {
+            // Through a vertex, where rays slip through if anywhere; from outside and from the centre.
+            let hit = bvh.first_hit(*p * 3.0, -*p, f32::INFINITY).unwrap();
+            assert!((hit.distance_mm - 20.0).abs() < 1e-3, "{hit:?}");
+            let point: Vec3 =
+                mesh.corners(hit.triangle as usize).iter().zip(hit.barycentric).map(|(c, w)| *c * w).sum();
+            assert!(point.distance(*p) < 1e-3);
+            assert!((bvh.first_hit(Vec3::ZERO, *p, f32::INFINITY).unwrap().distance_mm - 10.0).abs() < 1e-3);
+            assert!(bvh.first_hit(*p * 3.0, *p, f32::INFINITY).is_none(), "behind the origin");
+            assert!(bvh.first_hit(*p * 3.0, -*p, 19.9).is_none(), "too far");
+        }
+        assert!(bvh.first_hit(Vec3::ZERO, Vec3::ZERO, 1.0).is_none());
+        assert!(bvh.first_hit(Vec3::NAN, Vec3::X, 1.0).is_none());
+        assert!(Bvh::new(&TriMesh::default()).first_hit(Vec3::ZERO, Vec3::X, f32::INFINITY).is_none());
+    }
+
     proptest! {
+        #[test]
+        fn first_hits_agree_with_brute_force(
+            points in proptest::collection::vec(prop::array::uniform3(-10f32..10.0), 3..300),
+            rays in proptest::collection::vec(prop::array::uniform6(-12f32..12.0), 1..20),
+        ) {
+            let mesh = soup(points[..points.len() / 3 * 3].to_vec());
+            let bvh = Bvh::new(&mesh);
+            for [x, y, z, dx, dy, dz] in rays {
+                let (origin, direction) = (Vec3::new(x, y, z), Vec3::new(dx, dy, dz).normalize_or(Vec3::X));
+                let expected = (0..mesh.triangles.len())
+                    .filter_map(|t| Triangle::new(mesh.corners(t), t as u32).hit(origin, direction))
+                    .map(|hit| hit.distance_mm)
+                    .fold(f32::INFINITY, f32::min);
+                let found = bvh.first_hit(origin, direction, f32::INFINITY).map_or(f32::INFINITY, |h| h.distance_mm);
+                // The direction is normalized a second time.
+                prop_assert!(found == expected || (found - expected).abs() < 1e-4 * expected, "{} of {}", found, expected);
+            }
+        }
+
         #[test]
         fn agrees_with_brute_force(
             points in proptest::collection::vec(prop::array::uniform3(-10f32..10.0), 3..300),

@@ -147,6 +147,65 @@ impl HalfEdges {
         self.vertex_count() as i64 - self.edge_count() as i64 + self.triangle_count() as i64
     }
 
+    /// An edge (two vertices) on a loop around a handle; none on a connected surface without handles. Edges in neither
+    /// of two trees, one over the vertices and one over the triangles and borders that does not cross it, are those on
+    /// which handles hang (Eppstein 2003, tree-cotree decomposition).
+    pub fn handle_edge(&self) -> Option<(u32, u32)> {
+        let mut in_tree = vec![false; self.twin.len()];
+        let mut reached = vec![false; self.vertex_count()];
+        for seed in 0..self.vertex_count() as u32 {
+            let mut stack = vec![seed];
+            reached[seed as usize] |= self.outgoing[seed as usize] == NONE;
+            if std::mem::replace(&mut reached[seed as usize], true) {
+                continue;
+            }
+            while let Some(v) = stack.pop() {
+                for h in self.fan(v).flat_map(|h| [h, prev(h)]) {
+                    let w = if self.from(h) == v { self.to(h) } else { self.from(h) };
+                    if !std::mem::replace(&mut reached[w as usize], true) {
+                        in_tree[h as usize] = true;
+                        if self.twin[h as usize] != NONE {
+                            in_tree[self.twin[h as usize] as usize] = true;
+                        }
+                        stack.push(w);
+                    }
+                }
+            }
+        }
+        self.edge_outside_cotree(&in_tree)
+    }
+
+    /// An inner edge not in the tree whose sides are joined by other ways across edges not in the tree.
+    fn edge_outside_cotree(&self, in_tree: &[bool]) -> Option<(u32, u32)> {
+        let triangles = self.triangle_count();
+        let mut border_of = vec![0; self.vertex_count()];
+        for (i, ring) in self.boundary_loops().iter().enumerate() {
+            ring.iter().for_each(|&v| border_of[v as usize] = triangles + i);
+        }
+        // Union-find over triangles and borders.
+        let mut parent: Vec<usize> = (0..triangles + self.twin.len()).collect();
+        let find = |parent: &mut [usize], mut node: usize| {
+            while parent[node] != node {
+                parent[node] = parent[parent[node]];
+                node = parent[node];
+            }
+            node
+        };
+        for h in (0..self.twin.len()).filter(|&h| !in_tree[h]) {
+            let twin = self.twin[h];
+            if twin != NONE && (twin as usize) < h {
+                continue;
+            }
+            let other = if twin == NONE { border_of[self.origin[h] as usize] } else { twin as usize / 3 };
+            let (a, b) = (find(&mut parent, h / 3), find(&mut parent, other));
+            if a == b {
+                return Some((self.origin[h], self.to(h as u32)));
+            }
+            parent[a] = b;
+        }
+        None
+    }
+
     /// Component number of each triangle (numbered by first triangle), and how many components there are.
     /// Triangles are connected across edges; vertices without triangles are not counted.
     pub fn triangle_components(&self) -> (Vec<u32>, usize) {
@@ -339,7 +398,12 @@ mod tests {
             assert_eq!(mesh.boundary_loops().len(), loops);
             assert_eq!(mesh.triangle_components().1, 1);
             assert_eq!(mesh.is_disk(), chi == 1);
+            // Only the torus has a handle.
+            assert_eq!(mesh.handle_edge().is_some(), chi == 0 && loops == 0);
         }
+        let (vertices, mut torus) = grid(8, 6, true, true);
+        torus.retain(|t| !t.contains(&11) && !t.contains(&30));
+        assert!(build((vertices, torus)).handle_edge().is_some());
     }
 
     #[test]

@@ -1,7 +1,10 @@
 //! Fills one hole of a surface by a patch as fine as its surroundings (P. Liepa, Filling Holes in Meshes, 2003).
 //!
-//! Triangulation of least area, refinement with Delaunay flips, then a harmonic surface through the rim. Centroid fans
+//! Triangulation of least area, refinement with Delaunay flips, then a harmonic surface through the rim, bent to a thin plate
+//! that leaves the rim in the surface's tangent plane. Centroid fans
 //! are left to the few rims that allow nothing else: their slivers ruin a conformal map.
+
+mod fairing;
 
 use super::half_edge::{HalfEdges, NONE, next, pair_edges, prev};
 use super::{TriMesh, polygon::triangulate};
@@ -32,8 +35,14 @@ struct Patch<'a> {
 }
 
 /// Closes the hole inside `ring`, a boundary loop of `mesh` as [`HalfEdges::boundary_loops`] gives it. New vertices
-/// and triangles are appended; positions and texture coordinates are harmonic.
+/// and triangles are appended; positions and texture coordinates are those of a thin plate, of a membrane in very large
+/// holes and where a plate would overshoot.
 pub(crate) fn fill_hole(mesh: &mut TriMesh, half_edges: &HalfEdges, ring: &[u32]) {
+    fill_hole_as(mesh, half_edges, ring, true);
+}
+
+/// As [`fill_hole`]; a membrane where not `fair`.
+fn fill_hole_as(mesh: &mut TriMesh, half_edges: &HalfEdges, ring: &[u32], fair: bool) {
     let mut patch = Patch::new(mesh, half_edges, ring);
     for _ in 0..MAX_REFINE_ROUNDS {
         if !patch.split() {
@@ -43,6 +52,10 @@ pub(crate) fn fill_hole(mesh: &mut TriMesh, half_edges: &HalfEdges, ring: &[u32]
     }
     patch.make_harmonic();
     patch.flip_to_delaunay();
+    if fair {
+        patch.make_fair(mesh);
+        patch.flip_to_delaunay();
+    }
     patch.append_to(mesh);
 }
 
@@ -326,30 +339,13 @@ fn fan_normal(mesh: &TriMesh, half_edges: &HalfEdges, v: u32) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::test_surfaces::plate;
     use glam::Vec2;
 
-    /// Height field on a `side` x `side` vertex grid of 1 mm, without the quads whose centre is in `hole`.
-    fn plate(side: u32, height: impl Fn(Vec2) -> f32, hole: impl Fn(Vec2) -> bool) -> TriMesh {
-        let at = |x: u32, y: u32| Vec2::new(x as f32, y as f32);
-        let grid = (0..side * side).map(|i| at(i % side, i / side));
-        let mut mesh = TriMesh {
-            positions_mm: grid.clone().map(|p| p.extend(height(p))).collect(),
-            triangles: Vec::new(),
-            uv: Some(grid.map(|p| (p / side as f32).to_array()).collect()),
-        };
-        for (x, y) in (0..side - 1).flat_map(|y| (0..side - 1).map(move |x| (x, y))) {
-            if !hole(at(x, y) + 0.5) {
-                let a = y * side + x;
-                mesh.triangles.extend([[a, a + 1, a + side + 1], [a, a + side + 1, a + side]]);
-            }
-        }
-        mesh.submesh(|_| true).0
-    }
-
-    fn fill_inner(mesh: &mut TriMesh) -> HalfEdges {
+    fn fill_inner(mesh: &mut TriMesh, fair: bool) -> HalfEdges {
         let before = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
         for ring in &before.boundary_loops()[1..] {
-            fill_hole(mesh, &before, ring);
+            fill_hole_as(mesh, &before, ring, fair);
         }
         HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap()
     }
@@ -366,7 +362,7 @@ mod tests {
         ] {
             let mut mesh = plate(41, height, hole);
             let (kept, area) = (mesh.vertex_count(), plate(41, height, |_| false).area_mm2());
-            assert!(fill_inner(&mut mesh).is_disk());
+            assert!(fill_inner(&mut mesh, true).is_disk());
             assert!((mesh.area_mm2() - area).abs() < 1e-2, "area {} of {area}", mesh.area_mm2());
             for (p, uv) in mesh.positions_mm[kept..].iter().zip(&mesh.uv.as_ref().unwrap()[kept..]) {
                 assert!((p.z - height(p.truncate())).abs() < 1e-3);
@@ -381,10 +377,10 @@ mod tests {
     }
 
     #[test]
-    fn a_patch_stays_between_the_heights_of_its_rim() {
+    fn a_membrane_stays_between_the_heights_of_its_rim() {
         let mut mesh = plate(41, |p| (0.2 * p.x).sin() * 3.0, |p| p.distance(Vec2::splat(20.0)) < 8.0);
         let kept = mesh.vertex_count();
-        assert!(fill_inner(&mut mesh).is_disk());
+        assert!(fill_inner(&mut mesh, false).is_disk());
         assert!(mesh.positions_mm[kept..].iter().all(|p| p.z.abs() < 3.0));
         assert!(mesh.vertex_count() - kept > 100);
     }

@@ -60,21 +60,6 @@ impl TriMesh {
         (b - a).cross(c - a)
     }
 
-    /// Unit vertex normals, area-weighted; zero where a vertex has no triangle.
-    pub fn vertex_normals(&self) -> Vec<Vec3> {
-        let mut normals = vec![Vec3::ZERO; self.positions_mm.len()];
-        for (t, tri) in self.triangles.iter().enumerate() {
-            let n = self.area_normal(t);
-            for &v in tri {
-                normals[v as usize] += n;
-            }
-        }
-        for n in &mut normals {
-            *n = n.normalize_or_zero();
-        }
-        normals
-    }
-
     /// Surface area, mm².
     pub fn area_mm2(&self) -> f64 {
         (0..self.triangles.len()).map(|t| f64::from(self.area_normal(t).length()) * 0.5).sum()
@@ -114,6 +99,12 @@ impl TriMesh {
         };
         (mesh, old_of)
     }
+}
+
+/// Shape of a triangle: 4 sqrt(3) area / sum of squared edges; 1 equilateral, 0 degenerate.
+pub(crate) fn quality([a, b, c]: [Vec3; 3]) -> f32 {
+    let squares = (b - a).length_squared() + (c - b).length_squared() + (a - c).length_squared();
+    2.0 * 3f32.sqrt() * (b - a).cross(c - a).length() / squares.max(f32::MIN_POSITIVE)
 }
 
 #[cfg(test)]

@@ -155,9 +155,9 @@ fn compose_inverse(linear: [f32; 4], centre: [f32; 2], step: [f32; 6], half: f32
 }
 
 /// Lower Cholesky factor of a symmetric matrix given by its lower half; `None` when it is nearly singular.
-fn cholesky(mut m: [[f32; 6]; 6]) -> Option<[[f32; 6]; 6]> {
-    let largest = (0..6).map(|i| m[i][i]).fold(0.0, f32::max);
-    for i in 0..6 {
+pub(super) fn cholesky<const N: usize>(mut m: [[f32; N]; N]) -> Option<[[f32; N]; N]> {
+    let largest = (0..N).map(|i| m[i][i]).fold(0.0, f32::max);
+    for i in 0..N {
         for j in 0..=i {
             let inner: f32 = (0..j).map(|k| m[i][k] * m[j][k]).sum();
             let rest = m[i][j] - inner;
@@ -174,13 +174,13 @@ fn cholesky(mut m: [[f32; 6]; 6]) -> Option<[[f32; 6]; 6]> {
 }
 
 /// Solves `L Lᵀ x = b`.
-fn solve(factor: &[[f32; 6]; 6], mut b: [f32; 6]) -> [f32; 6] {
-    for i in 0..6 {
+pub(super) fn solve<const N: usize>(factor: &[[f32; N]; N], mut b: [f32; N]) -> [f32; N] {
+    for i in 0..N {
         let inner: f32 = (0..i).map(|k| factor[i][k] * b[k]).sum();
         b[i] = (b[i] - inner) / factor[i][i];
     }
-    for i in (0..6).rev() {
-        let inner: f32 = (i + 1..6).map(|k| factor[k][i] * b[k]).sum();
+    for i in (0..N).rev() {
+        let inner: f32 = (i + 1..N).map(|k| factor[k][i] * b[k]).sum();
         b[i] = (b[i] - inner) / factor[i][i];
     }
     b

@@ -1,7 +1,7 @@
 //! Scans without texture: a picture of their relief, in which the same tracker follows the shape of the skin.
 
 use super::{FloatPicture, Mask, PixelMap, high_pass, normalize};
-use crate::{CodecError, Result, mesh::TriMesh};
+use crate::{CodecError, GreyPicture, Result, mesh::TriMesh};
 
 /// Longer side of a frame, margin included, at most.
 const MAX_SIDE_PX: f32 = 640.0;
@@ -49,12 +49,25 @@ impl FeatureFrame {
     /// # Errors
     /// [`CodecError::Mesh`] when the mesh is not valid or shows no area along z.
     pub fn about(mesh: &TriMesh) -> Result<Self> {
+        // Two triangles a vertex: on a grid this is the pitch.
+        Self::with_least_pixel(mesh, |seen_mm2| (2.0 * seen_mm2 / mesh.triangles.len().max(1) as f64).sqrt() as f32)
+    }
+
+    /// As [`Self::about`] with 640 px along the longer side, for textures, which are finer than the mesh.
+    ///
+    /// # Errors
+    /// As [`Self::about`].
+    pub fn for_texture(mesh: &TriMesh) -> Result<Self> {
+        Self::with_least_pixel(mesh, |seen_mm2| if seen_mm2 > 0.0 { f32::MIN_POSITIVE } else { 0.0 })
+    }
+
+    /// `least_pixel_mm` gives the smallest pixel from the area seen along z, mm².
+    fn with_least_pixel(mesh: &TriMesh, least_pixel_mm: impl Fn(f64) -> f32) -> Result<Self> {
         mesh.validate()?;
         let (low, high) = mesh.bounds_mm();
         let seen_mm2: f64 = (0..mesh.triangles.len()).map(|t| 0.5 * f64::from(mesh.area_normal(t).z.abs())).sum();
         let extent = (high - low).truncate();
-        // Two triangles a vertex: on a grid this is the pitch.
-        let spacing_mm = (2.0 * seen_mm2 / mesh.triangles.len().max(1) as f64).sqrt() as f32;
+        let spacing_mm = least_pixel_mm(seen_mm2);
         if !(spacing_mm > 0.0 && extent.max_element().is_finite()) {
             return Err(CodecError::Mesh("no area is seen along z; turn the scan towards the scanner".into()));
         }
@@ -76,7 +89,7 @@ impl FeatureFrame {
     /// # Errors
     /// As [`PixelMap::new`].
     pub fn view<'m>(&self, mesh: &'m TriMesh) -> Result<FeatureView<'m>> {
-        let map = PixelMap::with_vertices_px(mesh, self.vertices_px(mesh), self.width_px, self.height_px)?;
+        let map = self.map(mesh)?;
         let mask = map.mask();
         let depth = FloatPicture::new(self.width_px, self.height_px, map.z_mm().to_vec());
         let mut relief = high_pass(&depth, &mask, RELIEF_SIGMA_PX);
@@ -84,6 +97,34 @@ impl FeatureFrame {
         relief.pixels.iter_mut().zip(&noise.pixels).for_each(|(r, n)| *r -= n);
         let relief = normalize(&relief, &mask, CONTRAST_SIGMA_PX, RELIEF_FLOOR_MM2);
         Ok(FeatureView { relief, mask, map })
+    }
+
+    /// The way from this frame's pixels to the surface of a scan.
+    ///
+    /// # Errors
+    /// As [`PixelMap::new`].
+    pub fn map<'m>(&self, mesh: &'m TriMesh) -> Result<PixelMap<'m>> {
+        PixelMap::with_vertices_px(mesh, self.vertices_px(mesh), self.width_px, self.height_px)
+    }
+
+    /// The texture of a scan as this frame shows it (level 0 beside the surface), and the way back to the surface: for
+    /// textures that no camera took, in which neighbours on the skin may lie apart.
+    ///
+    /// # Errors
+    /// As [`PixelMap::new`], and [`CodecError::Mesh`] for a mesh without texture coordinates or an empty picture.
+    pub fn view_texture<'m>(&self, mesh: &'m TriMesh, texture: &GreyPicture) -> Result<(GreyPicture, PixelMap<'m>)> {
+        let Some(uv) = mesh.uv.as_ref().filter(|_| !texture.pixels.is_empty()) else {
+            return Err(CodecError::Mesh("no texture; view the relief instead".into()));
+        };
+        let map = self.map(mesh)?;
+        let level = |pixel| {
+            let Some(point) = map.seen(pixel) else { return 0 };
+            let corners = mesh.triangles[point.triangle as usize].map(|v| uv[v as usize]);
+            let along = |k: usize| (0..3).map(|c| corners[c][k] * point.barycentric[c]).sum::<f32>();
+            texture.sample(texture.uv_to_px([along(0), along(1)])).round() as u8
+        };
+        let pixels = (0..map.triangles().len()).map(level).collect();
+        Ok((GreyPicture::new(self.width_px, self.height_px, pixels), map))
     }
 
     fn vertices_px(&self, mesh: &TriMesh) -> Vec<[f32; 2]> {

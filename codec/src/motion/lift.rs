@@ -3,6 +3,7 @@
 use super::Mask;
 use crate::{CodecError, Result, mesh::TriMesh};
 use glam::Vec3;
+use std::sync::OnceLock;
 
 /// Side of a look-up bin, px.
 const BIN_PX: usize = 4;
@@ -33,9 +34,16 @@ pub struct PixelMap<'m> {
     height: usize,
     triangle_at: Vec<u32>,
     z_mm: Vec<f32>,
-    /// Triangles that touch bin `b` are `bin_triangles[bin_starts[b]..bin_starts[b + 1]]`.
-    bin_starts: Vec<u32>,
-    bin_triangles: Vec<u32>,
+    /// Sorted when a pixel is first lifted: most pictures of a run are drawn for their mask alone.
+    bins: OnceLock<Bins>,
+}
+
+/// The triangles that touch each bin of the picture.
+#[derive(Debug, Clone)]
+struct Bins {
+    /// Triangles that touch bin `b` are `triangles[starts[b]..starts[b + 1]]`.
+    starts: Vec<u32>,
+    triangles: Vec<u32>,
 }
 
 impl<'m> PixelMap<'m> {
@@ -74,11 +82,9 @@ impl<'m> PixelMap<'m> {
             height,
             triangle_at: vec![u32::MAX; width * height],
             z_mm: vec![f32::NEG_INFINITY; width * height],
-            bin_starts: vec![0; width.div_ceil(BIN_PX) * height.div_ceil(BIN_PX) + 1],
-            bin_triangles: Vec::new(),
+            bins: OnceLock::new(),
         };
-        let boxes = map.draw()?;
-        map.fill_bins(&boxes);
+        map.draw()?;
         Ok(map)
     }
 
@@ -110,41 +116,52 @@ impl<'m> PixelMap<'m> {
             return None;
         }
         let bin = (y as usize / BIN_PX) * self.width.div_ceil(BIN_PX) + x as usize / BIN_PX;
-        let range = self.bin_starts[bin] as usize..self.bin_starts[bin + 1] as usize;
+        let bins = self.bins.get_or_init(|| self.sort_into_bins());
+        let range = bins.starts[bin] as usize..bins.starts[bin + 1] as usize;
         let mut best: Option<SurfacePoint> = None;
-        for &triangle in &self.bin_triangles[range] {
+        for &triangle in &bins.triangles[range] {
             let Some(planar) = Planar::of(self.corners_px(triangle as usize)) else { continue };
             let weights = planar.barycentric(f64::from(px[0]), f64::from(px[1]));
             // Said so that weights that are not numbers (a corner at infinity) are refused.
             if !weights.iter().all(|w| *w >= -EDGE_TOLERANCE) {
                 continue;
             }
-            let barycentric = weights.map(|w| w.clamp(0.0, 1.0) as f32);
-            let [a, b, c] = self.mesh.corners(triangle as usize);
-            let position_mm = a * barycentric[0] + b * barycentric[1] + c * barycentric[2];
-            if best.is_none_or(|seen| position_mm.z > seen.position_mm.z) {
-                best = Some(SurfacePoint { triangle, barycentric, position_mm });
+            let point = self.point(triangle, weights);
+            if best.is_none_or(|seen| point.position_mm.z > seen.position_mm.z) {
+                best = Some(point);
             }
         }
         best
+    }
+
+    /// The surface point seen at the centre of a pixel, row-major; cheaper than [`Self::lift`] where all pixels are asked for.
+    pub(super) fn seen(&self, pixel: usize) -> Option<SurfacePoint> {
+        let triangle = *self.triangle_at.get(pixel).filter(|t| **t != u32::MAX)?;
+        let planar = Planar::of(self.corners_px(triangle as usize))?;
+        let weights = planar.barycentric((pixel % self.width) as f64, (pixel / self.width) as f64);
+        Some(self.point(triangle, weights))
+    }
+
+    fn point(&self, triangle: u32, weights: [f64; 3]) -> SurfacePoint {
+        let barycentric = weights.map(|w| w.clamp(0.0, 1.0) as f32);
+        let [a, b, c] = self.mesh.corners(triangle as usize);
+        let position_mm = a * barycentric[0] + b * barycentric[1] + c * barycentric[2];
+        SurfacePoint { triangle, barycentric, position_mm }
     }
 
     fn corners_px(&self, triangle: usize) -> [[f32; 2]; 3] {
         self.mesh.triangles[triangle].map(|v| self.vertices_px[v as usize])
     }
 
-    /// Rasters all triangles, counts them by bin, and returns for each the bins {x0, x1, y0, y1} that its box touches.
-    fn draw(&mut self) -> Result<Vec<Option<[u16; 4]>>> {
-        let columns = self.width.div_ceil(BIN_PX);
-        let limit = 8 * self.mesh.triangles.len() + 64 * (self.bin_starts.len() - 1);
+    /// Rasters all triangles.
+    fn draw(&mut self) -> Result<()> {
+        let bins = self.width.div_ceil(BIN_PX) * self.height.div_ceil(BIN_PX);
+        let limit = 8 * self.mesh.triangles.len() + 64 * bins;
         let mut entries = 0;
-        let mut boxes = Vec::with_capacity(self.mesh.triangles.len());
         for triangle in 0..self.mesh.triangles.len() {
             let corners = self.corners_px(triangle);
-            let bins = bin_box(corners, self.width, self.height);
-            boxes.push(bins);
-            let Some([x0, x1, y0, y1]) = bins.map(|b| b.map(usize::from)) else { continue };
-            entries += (x1 - x0 + 1) * (y1 - y0 + 1);
+            let Some([x0, x1, y0, y1]) = bin_box(corners, self.width, self.height) else { continue };
+            entries += usize::from(x1 - x0 + 1) * usize::from(y1 - y0 + 1);
             // Checked before the triangle is drawn: it bounds the time as well as the memory.
             if entries > limit || u32::try_from(entries).is_err() {
                 return Err(CodecError::Mesh(format!(
@@ -152,31 +169,38 @@ impl<'m> PixelMap<'m> {
                     triangle + 1
                 )));
             }
-            for y in y0..=y1 {
-                self.bin_starts[y * columns + x0 + 1..=y * columns + x1 + 1].iter_mut().for_each(|count| *count += 1);
-            }
             self.raster(triangle, corners);
         }
-        Ok(boxes)
+        Ok(())
     }
 
-    /// Counting sort of the triangles by bin; the counts are in `bin_starts`, one place late.
-    fn fill_bins(&mut self, boxes: &[Option<[u16; 4]>]) {
+    /// Counting sort of the triangles by bin.
+    fn sort_into_bins(&self) -> Bins {
         let columns = self.width.div_ceil(BIN_PX);
-        for b in 1..self.bin_starts.len() {
-            self.bin_starts[b] += self.bin_starts[b - 1];
+        let box_of = |triangle| bin_box(self.corners_px(triangle), self.width, self.height);
+        let boxes: Vec<Option<[usize; 4]>> =
+            (0..self.mesh.triangles.len()).map(|t| box_of(t).map(|b| b.map(usize::from))).collect();
+        let mut starts = vec![0_u32; columns * self.height.div_ceil(BIN_PX) + 1];
+        for [x0, x1, y0, y1] in boxes.iter().flatten() {
+            for y in *y0..=*y1 {
+                starts[y * columns + x0 + 1..=y * columns + x1 + 1].iter_mut().for_each(|count| *count += 1);
+            }
         }
-        let mut next = self.bin_starts.clone();
-        self.bin_triangles = vec![0; self.bin_starts[self.bin_starts.len() - 1] as usize];
+        for b in 1..starts.len() {
+            starts[b] += starts[b - 1];
+        }
+        let mut next = starts.clone();
+        let mut triangles = vec![0; starts[starts.len() - 1] as usize];
         for (triangle, bins) in boxes.iter().enumerate() {
-            let Some([x0, x1, y0, y1]) = bins.map(|b| b.map(usize::from)) else { continue };
-            for y in y0..=y1 {
+            let Some([x0, x1, y0, y1]) = bins else { continue };
+            for y in *y0..=*y1 {
                 for place in &mut next[y * columns + x0..=y * columns + x1] {
-                    self.bin_triangles[*place as usize] = triangle as u32;
+                    triangles[*place as usize] = triangle as u32;
                     *place += 1;
                 }
             }
         }
+        Bins { starts, triangles }
     }
 
     /// Draws one triangle: pixels whose centre it covers, if nothing nearer to the scanner is there.

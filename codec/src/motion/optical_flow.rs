@@ -9,6 +9,10 @@ use super::pyramid::{Level, PAD_PX, Pyramid};
 
 /// Smallest eigenvalue, per pixel of the window, of a structure tensor that fixes a point (normalised grey² / px²).
 const MIN_EIGENVALUE: f32 = 1e-4;
+/// Levels searched for a point whose step is about known.
+const EXPECTED_LEVELS: u32 = 2;
+/// What a coarse level leaves open the finer one finds: it ends at a step this much longer.
+const COARSE_EPSILON: f32 = 4.0;
 /// Largest window the border of the pyramid holds.
 const MAX_WINDOW_PX: u32 = 2 * (PAD_PX as u32 - 8) + 1;
 
@@ -31,7 +35,7 @@ pub struct FlowOptions {
 
 impl Default for FlowOptions {
     fn default() -> Self {
-        Self { window_px: 15, levels: 3, max_iterations: 12, epsilon_px: 0.01, max_backward_px: 0.5, min_zncc: 0.75 }
+        Self { window_px: 15, levels: 3, max_iterations: 12, epsilon_px: 0.03, max_backward_px: 0.5, min_zncc: 0.75 }
     }
 }
 
@@ -41,15 +45,30 @@ impl Default for FlowOptions {
 /// # Panics
 /// When the window is even or not within 3..=25, or no level is asked for.
 pub fn follow(from: &Pyramid, to: &Pyramid, points: &[[f32; 2]], options: &FlowOptions) -> Vec<Option<[f32; 2]>> {
+    follow_from(from, to, &points.iter().map(|&point| (point, None)).collect::<Vec<_>>(), options)
+}
+
+/// As [`follow`], for points with the step (px) that each is expected to make, where there is one. From there the two
+/// finest levels are enough; where they fail, all levels try again from a still start.
+pub(super) fn follow_from(
+    from: &Pyramid,
+    to: &Pyramid,
+    points: &[([f32; 2], Option<[f32; 2]>)],
+    options: &FlowOptions,
+) -> Vec<Option<[f32; 2]>> {
     assert!(options.levels > 0, "flow needs a pyramid level");
     let mut search = Search::new(options);
-    let one = |&point: &[f32; 2]| {
-        let there = search.track(from, to, point)?;
-        let back = search.track(to, from, there)?;
+    let mut checked = |point: [f32; 2], levels: u32, step: [f32; 2]| {
+        let there = search.track(from, to, point, levels, step)?;
+        let back = search.track(to, from, there, levels, step.map(|s| -s))?;
         let home = (back[0] - point[0]).hypot(back[1] - point[1]) <= options.max_backward_px;
         (home && zncc(from.finest(), point, to.finest(), there, options.window_px) >= options.min_zncc).then_some(there)
     };
-    points.iter().map(one).collect()
+    let mut one = |&(point, step): &([f32; 2], Option<[f32; 2]>)| {
+        let expected = step.and_then(|step| checked(point, options.levels.min(EXPECTED_LEVELS), step));
+        expected.or_else(|| checked(point, options.levels, [0.0; 2]))
+    };
+    points.iter().map(&mut one).collect()
 }
 
 /// Zero-mean normalised cross-correlation, -1..1, of the windows about `a_px` in `a` and `b_px` in `b`; 0 where a window
@@ -144,15 +163,24 @@ impl<'o> Search<'o> {
         Self { options, window, lanes, wide, template: zeros.clone(), gradient_x: zeros.clone(), gradient_y: zeros }
     }
 
-    /// Coarse to fine from a still start.
-    fn track(&mut self, from: &Pyramid, to: &Pyramid, point: [f32; 2]) -> Option<[f32; 2]> {
-        let levels = (self.options.levels as usize).min(from.levels.len()).min(to.levels.len());
-        let mut flow = [0.0_f32; 2];
+    /// Coarse to fine, beginning with the step that is expected.
+    fn track(
+        &mut self,
+        from: &Pyramid,
+        to: &Pyramid,
+        point: [f32; 2],
+        levels: u32,
+        step: [f32; 2],
+    ) -> Option<[f32; 2]> {
+        let levels = (levels as usize).min(from.levels.len()).min(to.levels.len());
+        let coarsest = 1.0 / (1_u32 << (levels - 1)) as f32;
+        let mut flow = step.map(|s| s * coarsest);
         for l in (0..levels).rev() {
             let scale = 1.0 / (1_u32 << l) as f32;
+            let epsilon_px = self.options.epsilon_px * if l > 0 { COARSE_EPSILON } else { 1.0 };
             let at = point.map(|c| c * scale);
             let start = [at[0] + flow[0], at[1] + flow[1]];
-            match self.refine(&from.levels[l], &to.levels[l], at, start) {
+            match self.refine(&from.levels[l], &to.levels[l], at, start, epsilon_px) {
                 Some(end) => flow = [end[0] - at[0], end[1] - at[1]],
                 // A coarse level may be flat where a finer one is not.
                 None if l > 0 => {}
@@ -167,7 +195,7 @@ impl<'o> Search<'o> {
     }
 
     /// Gauss-Newton at one level from the position `start`.
-    fn refine(&mut self, from: &Level, to: &Level, at: [f32; 2], start: [f32; 2]) -> Option<[f32; 2]> {
+    fn refine(&mut self, from: &Level, to: &Level, at: [f32; 2], start: [f32; 2], epsilon_px: f32) -> Option<[f32; 2]> {
         if !from.reaches(at) {
             return None;
         }
@@ -185,7 +213,7 @@ impl<'o> Search<'o> {
             let [bx, by] = self.steepest_descent(to, position);
             let step = [(xy * by - yy * bx) / determinant, (xy * bx - xx * by) / determinant];
             position = [position[0] + step[0], position[1] + step[1]];
-            if step[0] * step[0] + step[1] * step[1] < self.options.epsilon_px * self.options.epsilon_px {
+            if step[0] * step[0] + step[1] * step[1] < epsilon_px * epsilon_px {
                 break;
             }
         }

@@ -2,7 +2,7 @@
 
 use super::{
     CornerOptions, FloatPicture, FlowOptions, GREY_SIGMA_PX, GREY_VARIANCE_FLOOR, Mask, Pyramid, affine_flow::Aligner,
-    find_corners, follow, normalize,
+    find_corners, normalize, optical_flow::follow_from,
 };
 use crate::GreyPicture;
 use std::sync::Arc;
@@ -23,7 +23,9 @@ pub struct TrackerOptions {
 
 impl Default for TrackerOptions {
     fn default() -> Self {
-        Self { flow: FlowOptions::default(), corners: CornerOptions::default(), min_key_zncc: 0.8 }
+        // Over ten scans 13 px loses 0.5 % more landmarks than 15 and takes a fifth less time; 9 px loses 3 % more.
+        let flow = FlowOptions { window_px: 13, ..FlowOptions::default() };
+        Self { flow, corners: CornerOptions::default(), min_key_zncc: 0.8 }
     }
 }
 
@@ -43,6 +45,8 @@ pub struct Track {
     pub px: [f32; 2],
     /// Position in the last key picture, if the landmark lived there.
     pub key_px: Option<[f32; 2]>,
+    /// Its last step, px, which the next is expected to repeat.
+    step_px: Option<[f32; 2]>,
 }
 
 /// Follows landmarks through the pictures of a run, one picture a scan in the order of time.
@@ -99,11 +103,12 @@ impl Tracker {
 
     /// Moves the landmarks to the next picture and drops those that are lost or leave the mask.
     fn advance(&mut self, previous: &Pyramid, next: &Pyramid, mask: &Mask) {
-        let points: Vec<[f32; 2]> = self.tracks.iter().map(|t| t.px).collect();
-        let ends = follow(previous, next, &points, &self.options.flow);
+        let points: Vec<_> = self.tracks.iter().map(|t| (t.px, t.step_px)).collect();
+        let ends = follow_from(previous, next, &points, &self.options.flow);
         let mut ends = ends.into_iter();
         self.tracks.retain_mut(|t| match ends.next().flatten() {
             Some(px) if mask.contains(px) => {
+                t.step_px = Some([px[0] - t.px[0], px[1] - t.px[1]]);
                 t.px = px;
                 true
             }
@@ -131,7 +136,7 @@ impl Tracker {
         for px in find_corners(next.finest(), allowed, &occupied, &self.options.corners) {
             // Ids are not reused: a run that has spent them all gets no new landmarks.
             let Some(following) = self.next_id.checked_add(1) else { return };
-            self.tracks.push(Track { id: self.next_id, px, key_px: None });
+            self.tracks.push(Track { id: self.next_id, px, key_px: None, step_px: None });
             self.next_id = following;
         }
     }

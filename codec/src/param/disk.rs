@@ -5,10 +5,11 @@
 //! circle, and a harmonic extension by the same factorized Laplacian gives the rest. The intrinsic Delaunay
 //! triangulation makes all weights non-negative (maximum principle, Tutte's theorem on the intrinsic mesh).
 
-use super::intrinsic::IntrinsicMesh;
+use super::harmonic::HarmonicSystem;
 use super::mobius::Mobius;
-use crate::linalg::{LowerCsc, SparseLlt};
+use crate::linalg::SparseLlt;
 use crate::mesh::half_edge::{NONE, next};
+use crate::mesh::intrinsic::IntrinsicMesh;
 use crate::mesh::{HalfEdges, TriMesh};
 use crate::{CodecError, Result};
 use glam::DVec2;
@@ -17,6 +18,9 @@ use std::f64::consts::TAU;
 /// Border flux is floored at this share of its mean: staircase corners may have none.
 const FLUX_FLOOR: f64 = 1e-3;
 
+/// Times that a map with flipped triangles is solved again with them locked.
+const MAX_UNFLIP_PASSES: usize = 5;
+
 /// A surface laid on the unit disk.
 #[derive(Debug, Clone)]
 pub struct DiskMap {
@@ -24,8 +28,21 @@ pub struct DiskMap {
     pub points: Vec<DVec2>,
     /// The vertex at the centre.
     pub centre: u32,
+    /// Border vertices, counter-clockwise.
+    pub border: Vec<u32>,
     /// Triangles of the embedded mesh that the map turns over.
     pub flips: usize,
+}
+
+/// How a disk is mapped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct DiskOptions {
+    /// Vertex that goes to the centre; the one farthest from the border in edge steps by default.
+    pub centre: Option<u32>,
+    /// Whether triangles of the embedded mesh that are turned over are turned back, at a cost in angles. The intrinsic
+    /// triangulation has none anyway; here flipped triangles and a growing ring around them are kept as they are in it,
+    /// their weights held positive. [`DiskMap::flips`] tells what is left, none on the scans tried.
+    pub unflip: bool,
 }
 
 /// Maps a disk to the unit disk; rotated so that +y of the scan frame points up.
@@ -33,27 +50,134 @@ pub struct DiskMap {
 /// # Errors
 /// [`CodecError::Mesh`] when `mesh` is not a disk, lies in one point, or is too degenerate for its Laplacian to factorize.
 pub fn disk_map(mesh: &TriMesh) -> Result<DiskMap> {
-    let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
-    let border = single_border(mesh, &half_edges)?;
+    DiskMapper::default().map(mesh, &mut |_| ())
+}
+
+/// Maps disks one after another; elimination order and symbolic factor are kept while the Laplacian has the same
+/// pattern.
+#[derive(Default)]
+pub struct DiskMapper {
+    options: DiskOptions,
+    factor: Option<SparseLlt>,
+}
+
+impl DiskMapper {
+    /// Maps with `options`.
+    pub fn new(options: DiskOptions) -> Self {
+        Self { options, factor: None }
+    }
+
+    /// As [`disk_map`]; `on_stage` is called with the name of each stage when it ends: topology, intrinsic, assemble,
+    /// factorize, solve, and unflip where wanted.
+    ///
+    /// # Errors
+    /// As [`disk_map`], and when the wanted centre is no inner vertex.
+    pub fn map(&mut self, mesh: &TriMesh, on_stage: &mut dyn FnMut(&'static str)) -> Result<DiskMap> {
+        let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
+        let border = single_border(mesh, &half_edges)?;
+        let centre = match self.options.centre {
+            None => deepest_vertex(&half_edges, &border),
+            Some(v) if (v as usize) < mesh.vertex_count() && !half_edges.is_boundary_vertex(v) => v,
+            Some(v) => {
+                let v = u64::from(v) + 1;
+                return Err(CodecError::Mesh(format!("vertex {v} cannot be the centre: it is not inside")));
+            }
+        };
+        on_stage("topology");
+        let locked = vec![false; mesh.triangles.len()];
+        let intrinsic = intrinsic_disk(mesh, &half_edges, &border, &locked)?;
+        on_stage("intrinsic");
+        let system = HarmonicSystem::assemble(&intrinsic, &border);
+        on_stage("assemble");
+        let factor = system.factorize(&mut self.factor, &mesh.positions_mm)?;
+        on_stage("factorize");
+        let theta = border_angles(&intrinsic, &system.harmonic_measure(factor, centre), &border);
+        let mut points = system.extend(factor, &border, &on_circle(&theta));
+        points.truncate(mesh.vertex_count());
+        let to_centre = Mobius::centring(points[centre as usize]);
+        points.iter_mut().for_each(|z| *z = to_centre.apply(*z));
+        turn_upright(mesh, &mut points);
+        on_stage("solve");
+        if !points.iter().all(|z| z.is_finite()) {
+            return Err(CodecError::Mesh("too degenerate to be laid on a disk".into()));
+        }
+        if self.options.unflip {
+            unflip(mesh, &half_edges, &border, locked, &mut points)?;
+            on_stage("unflip");
+        }
+        let flips = mesh.triangles.iter().filter(|t| signed_area(&points, **t) <= 0.0).count();
+        Ok(DiskMap { points, centre, border, flips })
+    }
+}
+
+/// Intrinsic Delaunay triangulation of a disk, the edges of `locked` triangles kept, no edge across from border to border.
+fn intrinsic_disk(mesh: &TriMesh, half_edges: &HalfEdges, border: &[u32], locked: &[bool]) -> Result<IntrinsicMesh> {
     let mut intrinsic = IntrinsicMesh::new(mesh, &half_edges.twin);
     intrinsic.mollify()?;
+    (0..locked.len()).filter(|&t| locked[t]).for_each(|t| intrinsic.lock(t as u32));
     intrinsic.make_delaunay();
-    separate_border(&mut intrinsic, &border, mesh.vertex_count());
-    let system = InteriorLaplacian::new(&intrinsic, &border)?;
-    let centre = deepest_vertex(mesh, &border);
-    let theta = border_angles(&intrinsic, &system, &border, centre);
-    let mut points = system.extend(&border, &theta);
+    separate_border(&mut intrinsic, border, mesh.vertex_count());
+    Ok(intrinsic)
+}
+
+/// Solves again with flipped triangles and a growing ring around them locked, the border where it is, until no triangle
+/// is flipped or passes run out.
+fn unflip(
+    mesh: &TriMesh,
+    half_edges: &HalfEdges,
+    border: &[u32],
+    mut locked: Vec<bool>,
+    points: &mut Vec<DVec2>,
+) -> Result<()> {
+    let circle: Vec<DVec2> = border.iter().map(|&b| points[b as usize]).collect();
+    for rings in 0..MAX_UNFLIP_PASSES {
+        if !mesh.triangles.iter().any(|t| signed_area(points, *t) <= 0.0) {
+            break;
+        }
+        lock_flips(mesh, points, rings, &mut locked);
+        let system = HarmonicSystem::assemble(&intrinsic_disk(mesh, half_edges, border, &locked)?, border);
+        let mut factor = None;
+        *points = system.extend(system.factorize(&mut factor, &mesh.positions_mm)?, border, &circle);
+        points.truncate(mesh.vertex_count());
+    }
+    Ok(())
+}
+
+fn on_circle(theta: &[f64]) -> Vec<DVec2> {
+    theta.iter().map(|&t| DVec2::new(libm::cos(t), libm::sin(t))).collect()
+}
+
+/// Harmonic map to the unit disk whose border keeps its proportions, where the flow of a double cover starts; and the
+/// border.
+pub(super) fn border_on_circle(mesh: &TriMesh) -> Result<(Vec<DVec2>, Vec<u32>)> {
+    let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
+    let border = single_border(mesh, &half_edges)?;
+    let intrinsic = intrinsic_disk(mesh, &half_edges, &border, &vec![false; mesh.triangles.len()])?;
+    let system = HarmonicSystem::assemble(&intrinsic, &border);
+    let circle = on_circle(&angles_of(&border_lengths(&intrinsic, &border)));
+    let mut factor = None;
+    let mut points = system.extend(system.factorize(&mut factor, &mesh.positions_mm)?, &border, &circle);
     points.truncate(mesh.vertex_count());
-    let to_centre = Mobius { rotation: DVec2::X, centre: points[centre as usize] };
-    for z in &mut points {
-        *z = to_centre.apply(*z);
+    Ok((points, border))
+}
+
+/// Locks the triangles that `points` turns over and those up to `rings` rings around them.
+fn lock_flips(mesh: &TriMesh, points: &[DVec2], rings: usize, locked: &mut [bool]) {
+    let mut near = vec![false; points.len()];
+    let mark = |near: &mut [bool], t: &[u32; 3]| t.iter().for_each(|&v| near[v as usize] = true);
+    for (t, locked) in mesh.triangles.iter().zip(locked.iter_mut()).filter(|(t, _)| signed_area(points, **t) <= 0.0) {
+        *locked = true;
+        mark(&mut near, t);
     }
-    turn_upright(mesh, &mut points);
-    if !points.iter().all(|z| z.is_finite()) {
-        return Err(CodecError::Mesh("too degenerate to be laid on a disk".into()));
+    for _ in 0..rings {
+        let inside = near.clone();
+        for (t, locked) in mesh.triangles.iter().zip(locked.iter_mut()) {
+            if t.iter().any(|&v| inside[v as usize]) {
+                *locked = true;
+                mark(&mut near, t);
+            }
+        }
     }
-    let flips = mesh.triangles.iter().filter(|t| signed_area(&points, **t) <= 0.0).count();
-    Ok(DiskMap { points, centre, flips })
 }
 
 /// Twice the signed area of a triangle on the disk.
@@ -65,8 +189,10 @@ pub fn signed_area(points: &[DVec2], t: [u32; 3]) -> f64 {
 fn single_border(mesh: &TriMesh, half_edges: &HalfEdges) -> Result<Vec<u32>> {
     let mut loops = half_edges.boundary_loops();
     if !half_edges.is_disk() {
+        let at: Vec<String> = loops.iter().take(4).map(|ring| (ring[0] + 1).to_string()).collect();
+        let at = if at.is_empty() { "no edge on a border".into() } else { format!("at vertices {}", at.join(", ")) };
         return Err(CodecError::Mesh(format!(
-            "not a disk: {} boundary loops, Euler characteristic {}, {} pieces (1 of each wanted)",
+            "not a disk: {} boundary loops ({at}), Euler characteristic {}, {} pieces (1 of each wanted)",
             loops.len(),
             half_edges.euler_characteristic(),
             half_edges.triangle_components().1
@@ -87,7 +213,7 @@ fn separate_border(m: &mut IntrinsicMesh, border: &[u32], vertex_count: usize) {
     }
     let joins = |m: &IntrinsicMesh, on_border: &[bool], h: u32| {
         let is = |v: u32| on_border.get(v as usize).copied().unwrap_or(false);
-        m.twin[h as usize] != NONE && is(m.origin[h as usize]) && is(m.target(h))
+        m.twin[h as usize] != NONE && !m.locked[h as usize] && is(m.origin[h as usize]) && is(m.target(h))
     };
     // Flipping after a split may join border vertices again; a few rounds always sufficed, the bound is a guard.
     for _ in 0..16 {
@@ -107,124 +233,37 @@ fn separate_border(m: &mut IntrinsicMesh, border: &[u32], vertex_count: usize) {
 }
 
 /// Vertex farthest from the border in edge steps (the last one a breadth-first walk from the border reaches).
-fn deepest_vertex(mesh: &TriMesh, border: &[u32]) -> u32 {
-    let n = mesh.vertex_count();
-    let mut start = vec![0u32; n + 1];
-    for &v in mesh.triangles.iter().flatten() {
-        start[v as usize + 1] += 1;
-    }
-    for i in 0..n {
-        start[i + 1] += start[i];
-    }
-    let mut fill = start.clone();
-    let mut around = vec![0u32; mesh.triangles.len() * 3];
-    for (t, tri) in mesh.triangles.iter().enumerate() {
-        for &v in tri {
-            around[fill[v as usize] as usize] = t as u32;
-            fill[v as usize] += 1;
-        }
-    }
-    let mut seen = vec![false; n];
+fn deepest_vertex(half_edges: &HalfEdges, border: &[u32]) -> u32 {
+    let mut seen = vec![false; half_edges.vertex_count()];
     let mut queue = border.to_vec();
     for &b in border {
         seen[b as usize] = true;
     }
     let mut head = 0;
     while head < queue.len() {
-        let v = queue[head] as usize;
-        head += 1;
-        for &t in &around[start[v] as usize..start[v + 1] as usize] {
-            for w in mesh.triangles[t as usize] {
-                if !std::mem::replace(&mut seen[w as usize], true) {
-                    queue.push(w);
-                }
+        for w in half_edges.neighbours(queue[head]) {
+            if !std::mem::replace(&mut seen[w as usize], true) {
+                queue.push(w);
             }
         }
+        head += 1;
     }
     queue[queue.len() - 1]
 }
 
-/// The interior block of the cotangent Laplacian, factorized, and its coupling to the border.
-struct InteriorLaplacian {
-    /// Interior row of a vertex, `u32::MAX` on the border.
-    row: Vec<u32>,
-    /// (interior row, border vertex, weight)
-    coupling: Vec<(u32, u32, f64)>,
-    factor: SparseLlt,
-    rows: usize,
-}
-
-impl InteriorLaplacian {
-    fn new(m: &IntrinsicMesh, border: &[u32]) -> Result<Self> {
-        let mut row = vec![0u32; m.vertex_count];
-        for &b in border {
-            row[b as usize] = u32::MAX;
-        }
-        let mut rows = 0;
-        for r in row.iter_mut().filter(|r| **r == 0) {
-            *r = rows;
-            rows += 1;
-        }
-        let mut diagonal = vec![0.0; rows as usize];
-        let (mut entries, mut coupling) = (Vec::with_capacity(m.twin.len() / 2), Vec::new());
-        for h in 0..m.twin.len() as u32 {
-            let other = m.twin[h as usize];
-            let (i, j) = (m.origin[h as usize], m.target(h));
-            if other == NONE || h > other || i == j {
-                continue;
-            }
-            let w = m.edge_weight(h).max(0.0);
-            let (ri, rj) = (row[i as usize], row[j as usize]);
-            for r in [ri, rj] {
-                if r != u32::MAX {
-                    diagonal[r as usize] += w;
-                }
-            }
-            match (ri, rj) {
-                (u32::MAX, u32::MAX) => {}
-                (u32::MAX, r) => coupling.push((r, i, w)),
-                (r, u32::MAX) => coupling.push((r, j, w)),
-                (a, b) => entries.push((a, b, -w)),
-            }
-        }
-        let factor = SparseLlt::factorize(&LowerCsc::assemble(&diagonal, &entries))?;
-        Ok(Self { row, coupling, factor, rows: rows as usize })
-    }
-
-    /// Harmonic functions with the given border values e^{i theta}; points of all vertices.
-    fn extend(&self, border: &[u32], theta: &[f64]) -> Vec<DVec2> {
-        let mut points = vec![DVec2::ZERO; self.row.len()];
-        for (&b, &t) in border.iter().zip(theta) {
-            points[b as usize] = DVec2::new(libm::cos(t), libm::sin(t));
-        }
-        let mut rhs = vec![0.0; 2 * self.rows];
-        for &(r, b, w) in &self.coupling {
-            rhs[r as usize] += w * points[b as usize].x;
-            rhs[self.rows + r as usize] += w * points[b as usize].y;
-        }
-        self.factor.solve(&mut rhs, 2);
-        for (z, &r) in points.iter_mut().zip(&self.row).filter(|(_, r)| **r != u32::MAX) {
-            *z = DVec2::new(rhs[r as usize], rhs[self.rows + r as usize]);
-        }
-        points
-    }
-}
-
 /// Angle of each border vertex: d theta over an edge is its length times the mean flux density at its ends.
-fn border_angles(m: &IntrinsicMesh, system: &InteriorLaplacian, border: &[u32], centre: u32) -> Vec<f64> {
-    let mut green = vec![0.0; system.rows];
-    green[system.row[centre as usize] as usize] = 1.0;
-    system.factor.solve(&mut green, 1);
+fn border_angles(m: &IntrinsicMesh, flux_of: &[f64], border: &[u32]) -> Vec<f64> {
     let n = border.len();
-    let mut flux_of = vec![0.0; m.vertex_count];
-    for &(r, b, w) in &system.coupling {
-        flux_of[b as usize] += w * green[r as usize];
-    }
     let mean = border.iter().map(|&b| flux_of[b as usize]).sum::<f64>() / n as f64;
     let flux: Vec<f64> = border.iter().map(|&b| flux_of[b as usize].max(FLUX_FLOOR * mean)).collect();
     let length = border_lengths(m, border);
     let density: Vec<f64> = (0..n).map(|b| flux[b] / (0.5 * (length[(b + n - 1) % n] + length[b]))).collect();
     let arc: Vec<f64> = (0..n).map(|b| length[b] * (density[b] + density[(b + 1) % n])).collect();
+    angles_of(&arc)
+}
+
+/// Angles of points on the circle from their distances to the next, in any unit.
+fn angles_of(arc: &[f64]) -> Vec<f64> {
     let scale = TAU / arc.iter().sum::<f64>();
     arc.iter()
         .scan(0.0, |sum, a| {
@@ -264,36 +303,10 @@ fn turn_upright(mesh: &TriMesh, points: &mut [DVec2]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::test_surfaces::{jittered_plate, noise, polar_disk};
+    use crate::param::AngleErrors;
     use glam::Vec3;
-
-    /// Rings of points on the unit disk and the triangulation between them.
-    fn polar_disk(rings: u32) -> (Vec<DVec2>, Vec<[u32; 3]>) {
-        let mut points = vec![DVec2::ZERO];
-        let mut triangles = Vec::new();
-        let start = |k: u32| if k == 0 { 0 } else { 1 + 3 * k * (k - 1) };
-        for k in 1..=rings {
-            for j in 0..6 * k {
-                points.push(DVec2::from_angle(TAU * f64::from(j) / f64::from(6 * k)) * f64::from(k) / f64::from(rings));
-            }
-            let (inner, outer) = (start(k - 1), start(k));
-            let at = |s: u32, n: u32, j: u32| if n == 0 { s } else { s + j % n };
-            for side in 0..6 {
-                for j in 0..k {
-                    let o = side * k + j;
-                    let i = side * (k - 1) + j;
-                    triangles.push([at(outer, 6 * k, o), at(outer, 6 * k, o + 1), at(inner, 6 * (k - 1), i)]);
-                    if j + 1 < k {
-                        triangles.push([
-                            at(inner, 6 * (k - 1), i),
-                            at(outer, 6 * k, o + 1),
-                            at(inner, 6 * (k - 1), i + 1),
-                        ]);
-                    }
-                }
-            }
-        }
-        (points, triangles)
-    }
+    use proptest::prelude::*;
 
     /// z + 0.3 z^2 rolled on a cylinder is conformal, so the disk map must return z up to a Möbius transformation.
     fn riemann_error(rings: u32) -> f64 {
@@ -372,6 +385,135 @@ mod tests {
             }
         }
         assert!(mapped >= 4, "{mapped} of 7 mapped");
+    }
+
+    /// Height field with a thin spike: its base flips on the disk.
+    fn spiky() -> TriMesh {
+        let mut mesh = jittered_plate(24, 11);
+        let mut noise = noise(5);
+        mesh.positions_mm.iter_mut().for_each(|p| p.z = 2.5 * noise());
+        mesh.positions_mm[300].z = 40.0;
+        mesh
+    }
+
+    #[test]
+    fn unflipping_leaves_no_flip_and_other_angles_alone() {
+        let mesh = spiky();
+        let plain = disk_map(&mesh).unwrap();
+        assert!(plain.flips > 0, "the surface is rough enough to flip");
+        let options = DiskOptions { unflip: true, ..Default::default() };
+        let map = DiskMapper::new(options).map(&mesh, &mut |_| ()).unwrap();
+        assert_eq!(map.flips, 0);
+        assert!(map.border.iter().all(|&b| map.points[b as usize].distance(plain.points[b as usize]) < 1e-12));
+        let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
+        let error = |points: &[DVec2]| AngleErrors::between(&mesh.triangles, at, |v| points[v as usize].extend(0.0));
+        let (before, after) = (error(&plain.points), error(&map.points));
+        assert!(after.mean_deg < 2.0 * before.mean_deg + 1.0, "{before:?} {after:?}");
+    }
+
+    #[test]
+    fn the_centre_is_where_it_is_wanted_and_the_maps_differ_by_a_moebius_transformation() {
+        let (z, triangles) = polar_disk(12);
+        let place = |z: &DVec2| Vec3::new(z.x as f32, z.y as f32, 0.4 * z.length_squared() as f32) * 90.0;
+        let mesh = TriMesh { positions_mm: z.iter().map(place).collect(), triangles, uv: None };
+        let centred = |centre| DiskMapper::new(DiskOptions { centre, unflip: false }).map(&mesh, &mut |_| ());
+        let (middle, aside) = (centred(None).unwrap(), centred(Some(60)).unwrap());
+        assert_eq!((middle.centre, aside.centre), (0, 60));
+        assert!(aside.points[60].length() < 1e-12);
+        let m = Mobius::fit(&middle.points, &aside.points);
+        let apart = middle.points.iter().zip(&aside.points).map(|(&p, &q)| m.apply(p).distance(q)).fold(0.0, f64::max);
+        assert!(apart < 0.02, "{apart}");
+        assert!(centred(Some(z.len() as u32 - 1)).unwrap_err().to_string().contains("cannot be the centre"));
+        assert!(centred(Some(u32::MAX)).is_err());
+    }
+
+    #[test]
+    fn a_mapper_gives_what_single_maps_give() {
+        let (z, triangles) = polar_disk(10);
+        let mut mapper = DiskMapper::default();
+        for k in 0..3 {
+            let place =
+                |z: &DVec2| Vec3::new(80.0 * z.x as f32, (80 + 20 * k) as f32 * z.y as f32, 30.0 * (z.x * z.y) as f32);
+            let mesh = TriMesh { positions_mm: z.iter().map(place).collect(), triangles: triangles.clone(), uv: None };
+            let (again, single) = (mapper.map(&mesh, &mut |_| ()).unwrap(), disk_map(&mesh).unwrap());
+            assert!(again.points.iter().zip(&single.points).all(|(a, b)| a.distance(*b) < 1e-12));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn random_disks_keep_order_on_the_circle_and_the_maximum_principle(seed in 0u64..500, rough in 0.0..1.5f32) {
+            let mut mesh = jittered_plate(9, seed);
+            let mut noise = noise(seed ^ 77);
+            mesh.positions_mm.iter_mut().for_each(|p| p.z = rough * noise());
+            let map = disk_map(&mesh).unwrap();
+            let angles = map.border.iter().zip(map.border.iter().cycle().skip(1))
+                .map(|(&a, &b)| map.points[a as usize].angle_to(map.points[b as usize]));
+            let angles: Vec<f64> = angles.collect();
+            prop_assert!(angles.iter().all(|a| *a > 0.0), "the border runs round once, forward");
+            prop_assert!((angles.iter().sum::<f64>() - TAU).abs() < 1e-9);
+            for (v, z) in map.points.iter().enumerate() {
+                let on_border = map.border.contains(&(v as u32));
+                let holds = if on_border { (z.length() - 1.0).abs() < 1e-12 } else { z.length() < 1.0 };
+                prop_assert!(holds, "vertex {} at {}", v, z);
+            }
+        }
+    }
+
+    /// Random points in a disk of 100 mm and on its rim, Delaunay: each falls into a triangle, then edges are flipped.
+    fn random_delaunay_disk(seed: u64, inside: u32, rim: u32) -> TriMesh {
+        let mut noise = noise(seed);
+        let at = |angle: f64, r: f32| Vec3::new(angle.cos() as f32, angle.sin() as f32, 0.0) * r;
+        let mut mesh = TriMesh::default();
+        mesh.positions_mm.extend((0..rim).map(|i| at(TAU * f64::from(i) / f64::from(rim), 100.0)));
+        mesh.triangles.extend((1..rim - 1).map(|i| [0, i, i + 1]));
+        while mesh.positions_mm.len() < (inside + rim) as usize {
+            let p = at(TAU * f64::from(noise()), 95.0 * (noise() + 0.5).sqrt());
+            let points = &mesh.positions_mm;
+            let left = |a: u32, b: u32| {
+                let (a, b) = (points[a as usize], points[b as usize]);
+                (b - a).truncate().perp_dot((p - a).truncate()) > 1e-2
+            };
+            let around = |t: &[u32; 3]| left(t[0], t[1]) && left(t[1], t[2]) && left(t[2], t[0]);
+            let Some(t) = mesh.triangles.iter().position(around) else { continue };
+            let (n, [a, b, c]) = (mesh.positions_mm.len() as u32, mesh.triangles[t]);
+            mesh.triangles[t] = [a, b, n];
+            mesh.triangles.extend([[b, c, n], [c, a, n]]);
+            mesh.positions_mm.push(p);
+        }
+        let twin = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap().twin;
+        let mut intrinsic = IntrinsicMesh::new(&mesh, &twin);
+        intrinsic.make_delaunay();
+        mesh.triangles = intrinsic.origin.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+        mesh
+    }
+
+    proptest! {
+        #[test]
+        fn random_delaunay_disks_have_no_intrinsic_flip(seed in 0u64..100_000, inside in 20u32..150, rim in 8u32..40) {
+            let mut mesh = random_delaunay_disk(seed, inside, rim);
+            for p in &mut mesh.positions_mm {
+                p.z = 20.0 * (p.x * 0.03).sin() + 0.002 * p.x * p.y;
+            }
+            let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
+            let border = single_border(&mesh, &half_edges).unwrap();
+            let intrinsic = intrinsic_disk(&mesh, &half_edges, &border, &vec![false; mesh.triangles.len()]).unwrap();
+            let system = HarmonicSystem::assemble(&intrinsic, &border);
+            let mut slot = None;
+            let factor = system.factorize(&mut slot, &mesh.positions_mm).unwrap();
+            let centre = deepest_vertex(&half_edges, &border);
+            let theta = border_angles(&intrinsic, &system.harmonic_measure(factor, centre), &border);
+            let points = system.extend(factor, &border, &on_circle(&theta));
+            for t in intrinsic.origin.chunks_exact(3) {
+                prop_assert!(signed_area(&points, [t[0], t[1], t[2]]) > -1e-9);
+            }
+            let map = disk_map(&mesh).unwrap();
+            let n = map.border.len();
+            let at = |i: usize| map.points[map.border[i % n] as usize];
+            prop_assert!((0..n).all(|i| (at(i).length() - 1.0).abs() < 1e-12 && at(i).angle_to(at(i + 1)) > 0.0));
+            let sum: f64 = (0..n).map(|i| at(i).angle_to(at(i + 1))).sum();
+            prop_assert!((sum - TAU).abs() < 1e-9);
+        }
     }
 
     #[test]

@@ -27,6 +27,7 @@ impl Place {
 const CELLS_PER_TRIANGLE: usize = 32;
 
 /// Finds the triangle of a disk that holds a point.
+#[derive(Debug, Clone)]
 pub struct DiskLocator {
     side: usize,
     start: Vec<u32>,

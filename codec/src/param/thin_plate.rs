@@ -1,5 +1,7 @@
 //! Thin-plate spline of the plane with affine part: the warp after Möbius for scans, whose border slips.
 
+use super::kernel_sum::add_kernels;
+use super::log::ln;
 use crate::{CodecError, Result};
 use faer::prelude::*;
 use glam::DVec2;
@@ -54,30 +56,30 @@ impl ThinPlate {
 
     /// Image of `z`.
     pub fn apply(&self, z: DVec2) -> DVec2 {
-        let mut sum = self.affine[0] + self.affine[1] * z.x + self.affine[2] * z.y;
+        let mut sum = self.affine(z);
         for (&c, &w) in self.centres.iter().zip(&self.weights) {
             sum += w * kernel(z.distance_squared(c));
         }
         sum
     }
+
+    /// Images of many points, as [`Self::apply`] gives them, in half the time.
+    pub fn images(&self, points: &[DVec2]) -> Vec<DVec2> {
+        let terms = self.centres.iter().zip(&self.weights).map(|(&c, &w)| (c, w, |distance2, _| kernel(distance2)));
+        let mut images: Vec<DVec2> = points.iter().map(|&z| self.affine(z)).collect();
+        add_kernels(points, &mut images, terms);
+        images
+    }
+
+    fn affine(&self, z: DVec2) -> DVec2 {
+        self.affine[0] + self.affine[1] * z.x + self.affine[2] * z.y
+    }
 }
 
 /// r^2 ln r^2 from r^2.
+#[inline(always)]
 fn kernel(r2: f64) -> f64 {
     r2 * ln(r2.max(1e-30))
-}
-
-/// Natural logarithm of a normal positive number, relative error below 1e-9: exponent, then the odd series of
-/// 2 atanh((m-1)/(m+1)) on m in [sqrt(1/2), sqrt(2)).
-fn ln(x: f64) -> f64 {
-    const SQRT_HALF_BITS: u64 = 0x3FE6_A09E_667F_3BCD;
-    let bits = x.to_bits();
-    let exponent = ((bits.wrapping_sub(SQRT_HALF_BITS)) as i64) >> 52;
-    let mantissa = f64::from_bits(bits.wrapping_sub((exponent as u64) << 52));
-    let s = (mantissa - 1.0) / (mantissa + 1.0);
-    let t = s * s;
-    let series = 1.0 + t * (1.0 / 3.0 + t * (0.2 + t * (1.0 / 7.0 + t * (1.0 / 9.0 + t * (1.0 / 11.0)))));
-    exponent as f64 * std::f64::consts::LN_2 + 2.0 * s * series
 }
 
 #[cfg(test)]
@@ -91,11 +93,6 @@ mod tests {
 
     proptest! {
         #[test]
-        fn logarithm_is_accurate(x in 1e-20..1e6f64) {
-            prop_assert!((ln(x) - x.ln()).abs() <= 2e-9 * x.ln().abs().max(1.0));
-        }
-
-        #[test]
         fn interpolates_landmarks(seed in 0u64..1000) {
             let from = spiral(30);
             let to: Vec<DVec2> = from.iter().enumerate()
@@ -104,6 +101,8 @@ mod tests {
             for (p, q) in from.iter().zip(&to) {
                 prop_assert!((plate.apply(*p) - *q).length() < 1e-8);
             }
+            let images = plate.images(&from);
+            prop_assert!(from.iter().zip(images).all(|(&p, image)| plate.apply(p) == image));
         }
     }
 

@@ -1,7 +1,7 @@
 //! Encoder of the seed mode: one scan in, a group out whenever a keyframe closes it.
 
 use super::group::{self, Stamp};
-use super::landmarks::LandmarkTrail;
+use super::landmarks::{GivenCounts, GivenLandmark, LandmarkTrail};
 use super::surface::{self, TextureFrame};
 use crate::mesh::TriMesh;
 use crate::mesh::repair::{RepairOptions, RepairReport, to_disk};
@@ -45,6 +45,8 @@ pub struct EncodedGroup {
     pub geometry: Vec<u8>,
     /// Payload "texture".
     pub texture: Option<Vec<u8>>,
+    /// What became of the landmarks given for the keyframe.
+    pub landmarks: GivenCounts,
 }
 
 /// What became of a scan.
@@ -63,7 +65,7 @@ pub struct Encoder {
     config: EncoderConfig,
     trail: LandmarkTrail,
     stamps: Vec<Stamp>,
-    last: Option<Scan>,
+    last: Option<(Scan, Vec<GivenLandmark>)>,
     last_stamp: Option<Stamp>,
     key_tick: Option<u64>,
     next_key_tick: u64,
@@ -94,6 +96,15 @@ impl Encoder {
     /// [`CodecError::Stream`] when its tick does not follow, [`CodecError::Mesh`] when it is no mesh at all; the scan is
     /// then not part of the run.
     pub fn push(&mut self, scan: Scan) -> Result<Pushed> {
+        self.push_with_landmarks(scan, &[])
+    }
+
+    /// As [`Self::push`], with landmarks on the scan: those on two keyframes that follow each other join the tracked ones,
+    /// and stand in for tracked ones nearby.
+    ///
+    /// # Errors
+    /// As [`Self::push`].
+    pub fn push_with_landmarks(&mut self, scan: Scan, given: &[GivenLandmark]) -> Result<Pushed> {
         let stamp = Stamp { tick: scan.tick, time_nanos: scan.time_nanos };
         if self.last_stamp.is_some_and(|l| stamp.tick <= l.tick || stamp.time_nanos <= l.time_nanos) {
             return Err(CodecError::Stream(format!("scan at tick {} does not follow the one before it", scan.tick)));
@@ -117,8 +128,8 @@ impl Encoder {
         self.stamps.push(stamp);
         self.last_stamp = Some(stamp);
         match prepared {
-            Some(mesh) => pushed.group = Some(self.close_group(&scan, &mesh)?),
-            None => self.last = Some(scan),
+            Some(mesh) => pushed.group = Some(self.close_group(&scan, given, &mesh)?),
+            None => self.last = Some((scan, given.to_vec())),
         }
         Ok(pushed)
     }
@@ -128,24 +139,24 @@ impl Encoder {
     /// # Errors
     /// [`CodecError::Mesh`] when that scan cannot be a keyframe.
     pub fn finish(mut self) -> Result<Option<EncodedGroup>> {
-        let Some(scan) = self.last.take() else { return Ok(None) };
+        let Some((scan, given)) = self.last.take() else { return Ok(None) };
         let (mesh, _) = self.prepare(&scan.mesh)?;
-        self.close_group(&scan, &mesh).map(Some)
+        self.close_group(&scan, &given, &mesh).map(Some)
     }
 
     /// Cleaned to a disk, then decimated where flat.
     fn prepare(&self, mesh: &TriMesh) -> Result<(TriMesh, RepairReport)> {
         let (disk, report) = to_disk(mesh, &self.config.repair)?;
-        let target = (mesh.vertex_count() / self.config.vertex_ratio as usize).max(4);
+        let target = (mesh.vertex_count() / self.config.vertex_ratio as usize).clamp(4, surface::MAX_VERTICES as usize);
         let (small, _) = simplify(&disk, target, &SimplifyOptions::default())?;
         Ok((small, report))
     }
 
-    fn close_group(&mut self, scan: &Scan, mesh: &TriMesh) -> Result<EncodedGroup> {
+    fn close_group(&mut self, scan: &Scan, given: &[GivenLandmark], mesh: &TriMesh) -> Result<EncodedGroup> {
         let frame = texture_frame(scan);
         let coded = surface::encode(mesh, self.config.header.position_step_mm, frame)?;
-        let landmarks = self.trail.close_keyframe(scan, &coded.decoded)?;
-        let before = (self.key_tick, &landmarks[..]);
+        let (pairs, landmarks) = self.trail.close_keyframe(scan, given, &coded.decoded)?;
+        let before = (self.key_tick, &pairs[..]);
         let geometry = group::encode(&self.config.header, &self.stamps, &coded.bytes, before)?;
         let texture = match (&scan.texture, &coded.decoded.uv) {
             (Some(picture), Some(_)) => {
@@ -160,7 +171,7 @@ impl Encoder {
         self.next_key_tick = (key.tick / interval + 1) * interval;
         self.key_tick = Some(key.tick);
         self.last = None;
-        Ok(EncodedGroup { first, key, scans: stamps.len(), geometry, texture })
+        Ok(EncodedGroup { first, key, scans: stamps.len(), geometry, texture, landmarks })
     }
 }
 

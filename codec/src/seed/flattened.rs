@@ -4,7 +4,7 @@ use super::group::{Group, LandmarkPair};
 use crate::mesh::Bvh;
 use crate::param::disk::{DiskMap, disk_map};
 use crate::param::locate::{DiskLocator, Place};
-use crate::param::matching::DiskMatch;
+use crate::param::matching::{DiskMatch, SourceDisk, WarpKind};
 use crate::{GreyPicture, Result};
 use glam::DVec2;
 
@@ -33,6 +33,10 @@ impl Flattened {
     /// Place on the surface at a point of the disk, the nearest one outside it.
     pub fn locate(&self, z: DVec2) -> Option<Place> {
         self.locator.locate(&self.disk.points, &self.group.mesh.triangles, z)
+    }
+
+    fn source(&self) -> SourceDisk<'_> {
+        SourceDisk { points: &self.disk.points, triangles: &self.group.mesh.triangles }
     }
 
     /// Point of the disk at a place.
@@ -64,8 +68,8 @@ impl Neighbours {
         }
         let (from, to): (Vec<DVec2>, Vec<DVec2>) = pairs.into_iter().unzip();
         Self {
-            forward: DiskMatch::fit(&from, &to, &earlier.disk.points, &earlier.group.mesh.triangles),
-            backward: DiskMatch::fit(&to, &from, &later.disk.points, &later.group.mesh.triangles),
+            forward: DiskMatch::fit(&from, &to, earlier.source(), &WarpKind::ThinPlate),
+            backward: DiskMatch::fit(&to, &from, later.source(), &WarpKind::ThinPlate),
         }
     }
 }

@@ -152,8 +152,7 @@ impl Carried {
             texture_px: self.texture_px.clone(),
             lost: self.lost.clone(),
         };
-        for v in 0..n {
-            let z = matching.apply(self.disk[v]);
+        for (v, z) in matching.images(&self.disk).into_iter().enumerate() {
             out.lost[v] |= z.length_squared() > 1.0;
             let place = to.locate(z);
             out.lost[v] |= place.is_none();

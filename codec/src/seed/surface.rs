@@ -8,8 +8,8 @@ use crate::texture::{CameraFit, MAX_SIDE_PX, project};
 use crate::{CodecError, GreyPicture, Result};
 use glam::Vec3;
 
-/// Most vertices a payload may announce.
-pub const MAX_VERTICES: u64 = 1 << 22;
+/// Most vertices a payload may announce: twice an undecimated scan, and what a decoder still flattens in seconds.
+pub const MAX_VERTICES: u64 = 1 << 18;
 
 /// Quantized positions stay below this in magnitude.
 const POSITION_LIMIT: i32 = 1 << 30;

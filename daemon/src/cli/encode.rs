@@ -1,18 +1,20 @@
 //! `gv3 encode`: a folder of scans becomes a session.
 
 use super::Outcome;
+use super::capture::stop_flag;
 use super::progress::{bar, human_bytes};
-use crate::files::{LoadedScan, Repairs, ScanFolder};
+use crate::files::{LandmarkTable, LoadedScan, Repairs, ScanFolder};
 use crate::measure::binary_bytes;
 use crate::pipeline::record::write_group;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use gv3_codec::seed::{EncodedGroup, Encoder, EncoderConfig, Pushed};
+use gv3_codec::seed::{EncodedGroup, Encoder, EncoderConfig, GivenLandmark, MAX_GIVEN_OFFSET_MM, Pushed};
 use gv3_codec::{CodecError, Scan};
 use gv3_protocol::AtomicFile;
 use gv3_protocol::session::{Event, EventKind, MetadataGroup, SessionMetadata, SessionWriter, key};
 use serde::Serialize;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -21,7 +23,9 @@ const READ_AHEAD: usize = 2;
 
 /// Code a folder of scans, numbered OBJ or PLY files with a BMP or PNG picture each, into a session.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  gv3 encode recordings/smile -o smile.gv3")]
+#[command(
+    after_help = "Example:\n  gv3 encode recordings/smile -o smile.gv3\n  gv3 encode recordings/smile -o smile.gv3 --landmarks smile.csv"
+)]
 pub struct Encode {
     /// Folder of scans, or a single scan.
     input: PathBuf,
@@ -31,6 +35,10 @@ pub struct Encode {
     /// How to code.
     #[arg(long, value_enum, default_value_t = ModeArgument::Seed)]
     mode: ModeArgument,
+    /// Landmarks on scans, CSV: scan,name,vertex,x,y,z (scan empty: all scans; x,y,z empty: the vertex, counted from 1).
+    /// Those on two keyframes in a row join the tracked ones, and replace tracked ones nearby.
+    #[arg(long, value_name = "CSV")]
+    landmarks: Option<PathBuf>,
     /// Scans a second of the input; file numbers are ticks of this clock.
     #[arg(long, default_value_t = 30.0, value_parser = fps)]
     fps: f64,
@@ -77,20 +85,34 @@ struct EncodeReport {
     input_bytes: u64,
     percent_of_input: f64,
     encode_ms_per_scan: f64,
+    /// What became of given landmarks, over all keyframes.
+    landmarks: Option<LandmarkReport>,
     /// What was mended or left out, with the file's name.
     notes: Vec<String>,
+}
+
+#[derive(Debug, Default, Serialize)]
+struct LandmarkReport {
+    /// Given for keyframes.
+    given: usize,
+    /// Of these, too far from the surface.
+    off_surface: usize,
+    /// Pairs with the keyframe before.
+    paired: usize,
 }
 
 impl Encode {
     pub(super) fn run(self) -> Result<Outcome> {
         let folder = ScanFolder::open(&self.input)?;
+        let landmarks = self.read_landmarks(&folder)?;
         let mut config = EncoderConfig::new((1e9 / self.fps).round() as u64);
         config.header.keyframe_interval = self.keyframe_interval;
         config.vertex_ratio = self.vertex_ratio;
         config.texture_quality = self.texture_quality;
         config.repair.open_closed = self.open_closed;
         let period_nanos = config.header.scan_period_nanos;
-        let mut job = Job::start(&self, &folder, config)?;
+        let stop = stop_flag()?;
+        let mut job = Job::start(&self, &folder, config, landmarks)?;
         let bar = bar(folder.len() as u64, "encode");
         std::thread::scope(|scope| -> Result<()> {
             let (to_encoder, loaded) = sync_channel(READ_AHEAD);
@@ -103,11 +125,26 @@ impl Encode {
                     }
                 }
             });
-            job.encode_all(folder, &loaded, || bar.inc(1))
+            job.encode_all(folder, &loaded, &stop, || bar.inc(1))
         })?;
         bar.finish_and_clear();
         let report = job.finish(&self, &folder)?;
         Outcome::of(self.json, &report, || self.describe(&report))
+    }
+
+    fn read_landmarks(&self, folder: &ScanFolder) -> Result<Option<LandmarkTable>> {
+        let Some(path) = &self.landmarks else { return Ok(None) };
+        let table = LandmarkTable::read(path)?;
+        if !(0..folder.len()).any(|i| table.has_scan(folder.number(i))) {
+            let (first, last) = (folder.number(0), folder.number(folder.len() - 1));
+            bail!(
+                "{}: no landmark is of a scan in {}, which are numbered {first} to {last}; give the numbers of the file \
+                 names in the first column",
+                path.display(),
+                folder.path().display()
+            );
+        }
+        Ok(Some(table))
     }
 
     fn describe(&self, report: &EncodeReport) -> String {
@@ -121,6 +158,11 @@ impl Encode {
             report.percent_of_input,
             report.encode_ms_per_scan
         );
+        if let Some(LandmarkReport { given, off_surface, paired }) = report.landmarks {
+            text.push_str(&format!(
+                "\n  landmarks on keyframes: {given} given, {off_surface} of them off the surface, {paired} pairs"
+            ));
+        }
         for note in &report.notes {
             text.push_str("\n  ");
             text.push_str(note);
@@ -133,6 +175,7 @@ impl Encode {
 struct Job {
     encoder: Encoder,
     writer: SessionWriter<AtomicFile>,
+    landmarks: Option<LandmarkTable>,
     report: EncodeReport,
     events: Vec<Event>,
     time: Duration,
@@ -142,7 +185,12 @@ struct Job {
 type Loaded = (usize, Result<LoadedScan, crate::files::FileError>);
 
 impl Job {
-    fn start(command: &Encode, folder: &ScanFolder, config: EncoderConfig) -> Result<Self> {
+    fn start(
+        command: &Encode,
+        folder: &ScanFolder,
+        config: EncoderConfig,
+        landmarks: Option<LandmarkTable>,
+    ) -> Result<Self> {
         let encoder = Encoder::new(config)?;
         let header = encoder.header();
         let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
@@ -159,24 +207,39 @@ impl Job {
         let mut writer = SessionWriter::create(AtomicFile::create(&command.out, command.force)?, &metadata)?;
         writer.write_stream(&header.encode())?;
         let report = EncodeReport { input_bytes: folder.raw_bytes(), ..Default::default() };
-        Ok(Self { encoder, writer, report, events: Vec::new(), time: Duration::ZERO, binary_bytes: 0 })
+        let report = EncodeReport { landmarks: landmarks.as_ref().map(|_| LandmarkReport::default()), ..report };
+        Ok(Self { encoder, writer, landmarks, report, events: Vec::new(), time: Duration::ZERO, binary_bytes: 0 })
     }
 
-    fn encode_all(&mut self, folder: &ScanFolder, loaded: &Receiver<Loaded>, step: impl Fn()) -> Result<()> {
+    fn encode_all(
+        &mut self,
+        folder: &ScanFolder,
+        loaded: &Receiver<Loaded>,
+        stop: &AtomicBool,
+        step: impl Fn(),
+    ) -> Result<()> {
         while let Ok((i, scan)) = loaded.recv() {
+            // Ended here, the half-written file is removed.
+            if stop.load(Ordering::Relaxed) {
+                bail!("stopped; nothing is written");
+            }
             let LoadedScan { scan, repairs } = scan?;
             self.note_repairs(&folder.name(i), &repairs);
             self.binary_bytes += binary_bytes(&scan);
-            self.push(&folder.name(i), scan)?;
+            let given = match &self.landmarks {
+                Some(table) => table.of_scan(folder.number(i), &scan.mesh)?,
+                None => Vec::new(),
+            };
+            self.push(&folder.name(i), scan, &given)?;
             step();
         }
         Ok(())
     }
 
-    fn push(&mut self, name: &str, scan: Scan) -> Result<()> {
+    fn push(&mut self, name: &str, scan: Scan, given: &[GivenLandmark]) -> Result<()> {
         let (tick, time_nanos) = (scan.tick, scan.time_nanos);
         let begin = Instant::now();
-        let pushed = self.encoder.push(scan);
+        let pushed = self.encoder.push_with_landmarks(scan, given);
         self.time += begin.elapsed();
         let Pushed { group, repair, not_key } = match pushed {
             Ok(pushed) => pushed,
@@ -210,6 +273,19 @@ impl Job {
 
     fn write(&mut self, group: Option<EncodedGroup>) -> Result<()> {
         let Some(group) = group else { return Ok(()) };
+        if let Some(report) = &mut self.report.landmarks {
+            let counts = group.landmarks;
+            report.given += counts.given;
+            report.off_surface += counts.off_surface;
+            report.paired += counts.paired;
+            if counts.off_surface > 0 {
+                self.report.notes.push(format!(
+                    "keyframe at tick {}: {} of {} landmarks lie more than {MAX_GIVEN_OFFSET_MM} mm off the surface, \
+                     left out",
+                    group.key.tick, counts.off_surface, counts.given
+                ));
+            }
+        }
         write_group(&mut self.writer, &group, &self.events)?;
         self.events.clear();
         self.report.scans += group.scans as u64;

@@ -5,17 +5,18 @@ use super::progress::human_bytes;
 use crate::replay::{Replay, describe};
 use anyhow::Result;
 use clap::Args;
+use gv3_protocol::raw::RawReader;
 use gv3_protocol::session::{ByteTotals, Event, SessionState};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// Show what a session holds: length, scans, keyframes, sizes, events, how it was made.
+/// Show what a session or a raw recording holds: length, scans, keyframes, sizes, events, how it was made.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  gv3 info smile.gv3")]
 pub struct Info {
-    /// Session to read.
+    /// Session, or folder of a raw recording, to read.
     session: PathBuf,
     /// Report as JSON.
     #[arg(long)]
@@ -42,6 +43,9 @@ struct InfoReport {
 
 impl Info {
     pub(super) fn run(self) -> Result<Outcome> {
+        if RawReader::is_recording(&self.session) {
+            return super::raw::info(&self.session, self.json);
+        }
         let mut replay = Replay::open(&self.session)?;
         let events = replay.reader_mut().events()?;
         let reader = replay.reader();

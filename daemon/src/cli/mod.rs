@@ -2,14 +2,19 @@
 //!
 //! A command returns its report as text or JSON; exit code 0 for done, 1 for failed, 2 for wrong usage.
 
+mod accuracy;
+mod calibrate;
+mod calibrate_gamma;
 mod capture;
 mod decode;
 mod demo;
 mod encode;
+mod flatten;
 mod info;
 mod measure;
 mod patterns;
 mod progress;
+mod raw;
 mod reconstruct;
 mod recover;
 mod verify;
@@ -39,6 +44,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Demo(demo::Demo),
+    Calibrate(calibrate::Calibrate),
     Capture(capture::Capture),
     Encode(encode::Encode),
     Decode(decode::Decode),
@@ -48,6 +54,10 @@ enum Command {
     Recover(recover::Recover),
     Measure(measure::Measure),
     Patterns(patterns::Patterns),
+    CalibrateGamma(calibrate_gamma::CalibrateGamma),
+    Flatten(flatten::Flatten),
+    ExportRaw(raw::ExportRaw),
+    Accuracy(accuracy::Accuracy),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -80,6 +90,7 @@ pub fn main() -> ExitCode {
         .init();
     let outcome = match arguments.command {
         Command::Demo(c) => c.run(),
+        Command::Calibrate(c) => c.run(),
         Command::Capture(c) => c.run(),
         Command::Encode(c) => c.run(),
         Command::Decode(c) => c.run(),
@@ -89,6 +100,10 @@ pub fn main() -> ExitCode {
         Command::Recover(c) => c.run(),
         Command::Measure(c) => c.run(),
         Command::Patterns(c) => c.run(),
+        Command::CalibrateGamma(c) => c.run(),
+        Command::Flatten(c) => c.run(),
+        Command::ExportRaw(c) => c.run(),
+        Command::Accuracy(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

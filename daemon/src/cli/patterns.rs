@@ -1,6 +1,7 @@
 //! `gv3 patterns`: the pictures that a projector shows.
 
 use super::Outcome;
+use crate::files::ProcessingConfig;
 use crate::files::picture::{PictureFormat, picture_bytes};
 use crate::files::raw_folder::{PictureNames, RawFolder};
 use crate::light::pattern::MAX_SIDE_PX;
@@ -63,6 +64,8 @@ enum Kind {
     NStep,
     /// Two sinusoids a quarter period apart and the half level.
     TwoPlusOne,
+    /// Two bursts of three steps 60 degrees apart, which cancel each other's error under a projector's gamma.
+    DoubleThreeStep,
     /// Two periods in N steps each, columns: what the live scanner uses.
     TwoFrequency,
     /// Periods by a fixed ratio up to the whole projector.
@@ -112,7 +115,8 @@ impl Patterns {
             Format::Bmp => PictureFormat::Bmp,
         };
         let names = PictureNames::Numbered(format!("pattern_###.{}", format.extension()));
-        let folder = RawFolder { pictures: names, first: 0, sequence, limits: None };
+        let folder =
+            RawFolder { pictures: names, first: 0, sequence, limits: None, processing: ProcessingConfig::default() };
         for (index, name) in folder.names()?.iter().enumerate() {
             let path = self.out.join(name);
             let picture =
@@ -141,6 +145,7 @@ impl Patterns {
         Ok(match self.kind {
             Kind::NStep => PatternSequence::n_step(size, direction, period, steps),
             Kind::TwoPlusOne => PatternSequence::two_plus_one(size, direction, period),
+            Kind::DoubleThreeStep => PatternSequence::double_three_step(size, direction, period),
             Kind::TwoFrequency => PatternSequence::two_frequency(size, self.long_period, period, steps),
             Kind::MultiFrequency => PatternSequence::hierarchical(size, direction, period, self.ratio, steps),
             Kind::Heterodyne => PatternSequence::heterodyne(size, direction, period, steps),

@@ -4,15 +4,17 @@ use super::Outcome;
 use super::decode::Format;
 use super::progress::human_bytes;
 use crate::files::picture::{PictureFormat, read_picture};
+use crate::files::processing_config::read_gamma;
 use crate::files::{ExportFormat, ExportWriter, RawFolder};
 use crate::light::{Calibration, DepthRange, LightError, Limits, RejectedPixels};
 use crate::pipeline::record::write_group;
 use crate::pipeline::{Reconstruction, StillReconstructor};
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use gv3_codec::Scan;
 use gv3_codec::seed::{Encoder, EncoderConfig};
+use gv3_codec::{GreyPicture, Scan};
 use gv3_protocol::AtomicFile;
+use gv3_protocol::raw::RawReader;
 use gv3_protocol::session::{MetadataGroup, SessionMetadata, SessionWriter, key};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -24,19 +26,24 @@ const MAX_CALIBRATION_BYTES: u64 = 1 << 20;
 const SCAN_PERIOD_NANOS: u64 = 33_333_333;
 
 /// Make a scan of a folder of pattern pictures: fringes, Gray code, or both, as a small TOML describes them.
+///
+/// Of a raw recording, which brings its own description, every frame set becomes a scan.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  gv3 reconstruct capture --sequence sequence.toml --calibration rig.toml -o scan\n\nsequence.toml:\n  pictures = \"graycode_##.png\"\n  [sequence]\n  width_px = 1024\n  height_px = 768\n  [[sequence.patterns]]\n  kind = \"gray\"        # or sinusoid (period_px, steps), white, black, half\n  bits = 10            # most significant first\n  pairs = true         # each followed by its inverse\n  direction = \"rows\"   # or columns"
+    after_help = "Examples:\n  gv3 reconstruct smile-raw -o scans\n  gv3 reconstruct capture --sequence sequence.toml --calibration rig.toml -o scan\n\nsequence.toml:\n  pictures = \"graycode_##.png\"\n  [sequence]\n  width_px = 1024\n  height_px = 768\n  [[sequence.patterns]]\n  kind = \"gray\"        # or sinusoid (period_px, steps), white, black, half\n  bits = 10            # most significant first\n  pairs = true         # each followed by its inverse\n  direction = \"rows\"   # or columns"
 )]
 pub struct Reconstruct {
-    /// Folder of pictures.
+    /// Folder of pictures, or of a raw recording.
     folder: PathBuf,
-    /// TOML that says what the pictures show.
-    #[arg(long)]
-    sequence: PathBuf,
-    /// Calibration: TOML, or JSON with Kc, dc, Kp, dp, R, T.
-    #[arg(long)]
-    calibration: PathBuf,
+    /// TOML that says what the pictures show; not for a raw recording.
+    #[arg(long, requires = "calibration")]
+    sequence: Option<PathBuf>,
+    /// Calibration: TOML, JSON with Kc, dc, Kp, dp, R, T, or OpenCV's YAML.
+    #[arg(long, requires = "sequence")]
+    calibration: Option<PathBuf>,
+    /// Phase errors of the projector, from gv3 calibrate-gamma; over gamma_file of the sequence.
+    #[arg(long, value_name = "FILE")]
+    gamma: Option<PathBuf>,
     /// Folder to write the scan to.
     #[arg(short, long)]
     out: PathBuf,
@@ -54,6 +61,76 @@ pub struct Reconstruct {
     json: bool,
 }
 
+/// Pattern pictures and what is needed to understand them.
+#[derive(Debug, Clone, Args)]
+pub struct RawCapture {
+    /// Folder of pictures.
+    folder: PathBuf,
+    /// TOML that says what the pictures show.
+    #[arg(long)]
+    sequence: PathBuf,
+    /// Calibration: TOML, JSON with Kc, dc, Kp, dp, R, T, or OpenCV's YAML.
+    #[arg(long)]
+    calibration: PathBuf,
+}
+
+/// A capture whose description and calibration are read.
+pub struct OpenedCapture {
+    /// Folder of the pictures.
+    pub folder: PathBuf,
+    /// What they show.
+    pub raw: RawFolder,
+    /// Name of the picture of every pattern.
+    pub names: Vec<String>,
+    /// Geometry of the rig.
+    pub calibration: Calibration,
+    /// Limits of the description; without them nothing but the geometry bounds the depth.
+    pub limits: Limits,
+}
+
+impl RawCapture {
+    /// Description and calibration together, for messages.
+    pub fn name(&self) -> String {
+        format!("{} with {}", self.sequence.display(), self.calibration.display())
+    }
+
+    /// Reads description and calibration.
+    pub fn open(&self) -> Result<OpenedCapture> {
+        let raw = RawFolder::read(&self.sequence)?;
+        let names = raw.names()?;
+        let calibration = self.read_calibration(&raw, &names)?;
+        let limits = raw
+            .limits
+            .unwrap_or_else(|| Limits { depth: DepthRange { near_mm: 1.0, far_mm: 100_000.0 }, ..Limits::default() });
+        Ok(OpenedCapture { folder: self.folder.clone(), raw, names, calibration, limits })
+    }
+
+    fn read_calibration(&self, raw: &RawFolder, names: &[String]) -> Result<Calibration> {
+        let path = &self.calibration;
+        let show = || path.display().to_string();
+        let bytes = std::fs::metadata(path).with_context(show)?.len();
+        if bytes > MAX_CALIBRATION_BYTES {
+            bail!("{}: {bytes} bytes is no calibration", show());
+        }
+        let text = std::fs::read_to_string(path).with_context(show)?;
+        // Not every format says the sizes; pictures and patterns do.
+        let sizes = || {
+            let Some(first) = names.first() else { bail!("{}: no pictures", self.sequence.display()) };
+            let first = read_picture(&self.folder.join(first))?;
+            Ok([[first.width_px, first.height_px], [raw.sequence.width_px, raw.sequence.height_px]])
+        };
+        Calibration::from_text(&text, sizes).with_context(show)
+    }
+}
+
+impl OpenedCapture {
+    /// Reads the pictures.
+    pub fn pictures(&self) -> Result<Vec<GreyPicture>> {
+        let size_px = [self.calibration.camera.width_px, self.calibration.camera.height_px];
+        Ok(self.raw.load(&self.folder, size_px)?)
+    }
+}
+
 #[derive(Debug, Serialize)]
 struct ReconstructReport {
     vertices: usize,
@@ -65,32 +142,49 @@ struct ReconstructReport {
 
 impl Reconstruct {
     pub(super) fn run(self) -> Result<Outcome> {
-        let raw = RawFolder::read(&self.sequence)?;
-        let names = raw.names()?;
-        let calibration = self.read_calibration(&raw, &names)?;
-        // Without limits nothing but the geometry bounds the depth.
-        let limits = raw
-            .limits
-            .unwrap_or_else(|| Limits { depth: DepthRange { near_mm: 1.0, far_mm: 100_000.0 }, ..Limits::default() });
-        let whole = || format!("{} with {}", self.sequence.display(), self.calibration.display());
-        let reconstructor = StillReconstructor::new(&calibration, &raw.sequence, &limits).with_context(whole)?;
-        let size_px = [calibration.camera.width_px, calibration.camera.height_px];
-        let pictures = raw.load(&self.folder, size_px)?;
-        let Reconstruction { scan, rejected } =
-            reconstructor.reconstruct(&pictures).map_err(|e| named(e, &self.folder, &names))?;
-        if scan.mesh.triangles.is_empty() {
-            let DepthRange { near_mm, far_mm } = limits.depth;
-            bail!(
-                "{}: no surface between {near_mm} and {far_mm} mm (near_mm and far_mm of [limits.depth] in {}); rejected pixels: {}",
-                self.folder.display(),
-                self.sequence.display(),
-                describe(&rejected)?
-            );
-        }
         let format = match self.format {
             Format::Obj => ExportFormat::Obj,
             Format::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
         };
+        match (&self.sequence, &self.calibration) {
+            (None, None) if RawReader::is_recording(&self.folder) => {
+                if self.session.is_some() {
+                    bail!(
+                        "a session of a raw recording is made by `gv3 capture OUT.gv3 --from-raw {}`",
+                        self.folder.display()
+                    );
+                }
+                super::raw::reconstruct(&self.folder, &self.out, format, self.force, self.json)
+            }
+            (Some(sequence), Some(calibration)) => {
+                let (folder, sequence, calibration) = (self.folder.clone(), sequence.clone(), calibration.clone());
+                self.run_pictures(&RawCapture { folder, sequence, calibration }, format)
+            }
+            _ => bail!("{}: no raw recording, so it needs --sequence and --calibration", self.folder.display()),
+        }
+    }
+
+    fn run_pictures(&self, capture: &RawCapture, format: ExportFormat) -> Result<Outcome> {
+        let opened = capture.open()?;
+        let OpenedCapture { folder, raw, names, calibration, limits } = &opened;
+        let mut processing = raw.processing.read()?;
+        if let Some(path) = &self.gamma {
+            processing.gamma = Some(read_gamma(path)?);
+        }
+        let reconstructor = StillReconstructor::with(calibration, &raw.sequence, limits, &processing)
+            .with_context(|| capture.name())?;
+        let pictures = opened.pictures()?;
+        let Reconstruction { scan, rejected } =
+            reconstructor.reconstruct(&pictures).map_err(|e| named(e, folder, names))?;
+        if scan.mesh.triangles.is_empty() {
+            let DepthRange { near_mm, far_mm } = limits.depth;
+            bail!(
+                "{}: no surface between {near_mm} and {far_mm} mm (near_mm and far_mm of [limits.depth] in {}); rejected pixels: {}",
+                folder.display(),
+                capture.sequence.display(),
+                describe(&rejected)?
+            );
+        }
         let writer = ExportWriter::create(&self.out, format, self.force)?;
         let mut report = ReconstructReport {
             vertices: scan.mesh.vertex_count(),
@@ -100,7 +194,7 @@ impl Reconstruct {
             session_bytes: None,
         };
         if let Some(path) = &self.session {
-            report.session_bytes = Some(write_session(path, self.force, scan, &calibration)?);
+            report.session_bytes = Some(write_session(path, self.force, scan, calibration)?);
         }
         let causes = describe(&rejected)?;
         Outcome::of(self.json, &report, || self.describe(&report, &causes))
@@ -119,28 +213,10 @@ impl Reconstruct {
         }
         text
     }
-
-    fn read_calibration(&self, raw: &RawFolder, names: &[String]) -> Result<Calibration> {
-        let path = &self.calibration;
-        let show = || path.display().to_string();
-        let bytes = std::fs::metadata(path).with_context(show)?.len();
-        if bytes > MAX_CALIBRATION_BYTES {
-            bail!("{}: {bytes} bytes is no calibration", show());
-        }
-        let text = std::fs::read_to_string(path).with_context(show)?;
-        if !text.trim_start().starts_with('{') {
-            return Calibration::from_toml(&text).with_context(show);
-        }
-        // JSON need not say its sizes; pictures and patterns do.
-        let Some(first) = names.first() else { bail!("{}: no pictures", self.sequence.display()) };
-        let first = read_picture(&self.folder.join(first))?;
-        let projector_px = [raw.sequence.width_px, raw.sequence.height_px];
-        Calibration::from_json(&text, [first.width_px, first.height_px], projector_px).with_context(show)
-    }
 }
 
 /// The error with the picture's file in place of its index.
-fn named(error: LightError, folder: &Path, names: &[String]) -> anyhow::Error {
+pub(super) fn named(error: LightError, folder: &Path, names: &[String]) -> anyhow::Error {
     if let LightError::Field { field, reason } = &error
         && let Some(index) = field.strip_prefix("pictures[").and_then(|f| f.strip_suffix(']')?.parse::<usize>().ok())
         && let Some(name) = names.get(index)
@@ -189,7 +265,7 @@ mod tests {
     use crate::replay::Replay;
     use clap::Parser;
     use glam::{DMat3, DVec3, Vec3};
-    use gv3_codec::{GreyPicture, mesh::TriMesh};
+    use gv3_codec::mesh::TriMesh;
 
     #[derive(Parser)]
     struct Line {
@@ -197,32 +273,7 @@ mod tests {
         reconstruct: Reconstruct,
     }
 
-    const KAMINO: &str = r##"
-        pictures = "graycode_##.png"
-        [sequence]
-        width_px = 1024
-        height_px = 768
-        [[sequence.patterns]]
-        kind = "gray"
-        bits = 10
-        pairs = true
-        [[sequence.patterns]]
-        kind = "gray"
-        bits = 10
-        pairs = true
-        direction = "rows"
-        [[sequence.patterns]]
-        kind = "white"
-        [[sequence.patterns]]
-        kind = "black"
-        [limits.mask]
-        min_modulation = 10.0
-        [limits.depth]
-        near_mm = 2500.0
-        far_mm = 4500.0
-        [limits.mesh]
-        max_depth_step_mm = 25.0
-    "##;
+    const KAMINO: &str = include_str!("../../../tests/board.toml");
 
     fn path(p: &Path) -> &str {
         p.to_str().unwrap()

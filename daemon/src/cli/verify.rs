@@ -6,18 +6,19 @@ use anyhow::Result;
 use clap::Args;
 use gv3_codec::seed::decode_group;
 use gv3_codec::texture::decode_key_texture;
+use gv3_protocol::raw::RawReader;
 use gv3_protocol::session::{VerifyReport, verify};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// Check a session: every checksum, the index against the content, and that every payload decodes.
+/// Check a session or a raw recording: every checksum, the index against the content, and that every payload decodes.
 ///
 /// Exit code 1 when anything is wrong.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  gv3 verify smile.gv3 && echo intact")]
 pub struct Verify {
-    /// Session to check.
+    /// Session, or folder of a raw recording, to check.
     session: PathBuf,
     /// Report as JSON.
     #[arg(long)]
@@ -35,6 +36,9 @@ struct FullReport {
 
 impl Verify {
     pub(super) fn run(self) -> Result<Outcome> {
+        if RawReader::is_recording(&self.session) {
+            return super::raw::verify(&self.session, self.json);
+        }
         let container = verify(&self.session)?;
         let mut report = FullReport { ok: false, container, decoded_groups: 0, payload_problems: Vec::new() };
         match Replay::open(&self.session) {

@@ -1,8 +1,10 @@
 //! A rig's configuration: which devices, which patterns, when, and with what calibration.
 
+use super::recorded::{RecordedConfig, stored_config};
 use super::{CameraSettings, DeviceError, SequenceTiming, TriggerSource};
 use crate::device::sim::{SceneConfig, SimConfig};
-use crate::light::{Calibration, Distortion, Intrinsics, Limits, PatternSequence, Rigid};
+use crate::files::ProcessingConfig;
+use crate::light::{Calibration, Distortion, Intrinsics, LightError, Limits, PatternSequence, Rigid};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -13,6 +15,8 @@ use std::path::{Path, PathBuf};
 pub enum Backend {
     /// In process, no hardware.
     Simulated,
+    /// A raw recording, as `[recorded]` names it.
+    Recorded,
 }
 
 /// The camera of a rig.
@@ -41,7 +45,7 @@ pub struct ProjectorConfig {
 pub struct RigConfig {
     /// Name shown to people.
     pub name: String,
-    /// Calibration file (TOML); a relative path starts at the rig's file. Either this or `calibration`.
+    /// Calibration file (TOML, JSON or OpenCV's YAML); a relative path starts at the rig's file. Either this or `calibration`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration_file: Option<PathBuf>,
     /// The camera.
@@ -53,9 +57,15 @@ pub struct RigConfig {
     /// Limits for reconstruction.
     #[serde(default)]
     pub limits: Limits,
+    /// Choices for reconstruction.
+    #[serde(default, skip_serializing_if = "ProcessingConfig::is_default")]
+    pub processing: ProcessingConfig,
     /// The simulated world, for simulated devices.
     #[serde(default)]
     pub sim: SimConfig,
+    /// The recording, for recorded devices.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recorded: Option<RecordedConfig>,
     /// Patterns of one scan.
     pub sequence: PatternSequence,
     /// Calibration in place.
@@ -75,12 +85,22 @@ impl RigConfig {
             projector: ProjectorConfig { backend: Backend::Simulated },
             timing: SequenceTiming { picture_period_nanos: 5_555_556, exposure_nanos: 5_000_000 },
             limits: Limits::default(),
+            processing: ProcessingConfig::default(),
             sim: SimConfig::default(),
+            recorded: None,
             // 264 px is the shortest whole multiple of 22 px that the working range allows; a ratio of 12 leaves five sigma
             // of the low phase to half a fringe at the least modulation of the mask.
             sequence: PatternSequence::two_frequency(projector_size_px, 264.0, 22.0, 3),
             calibration: Some(calibration),
         }
+    }
+
+    /// The rig of a raw recording, played back.
+    ///
+    /// # Errors
+    /// [`DeviceError::File`] when there is no recording or its configuration cannot be read.
+    pub fn recorded(recorded: RecordedConfig) -> Result<Self, DeviceError> {
+        stored_config(recorded)
     }
 
     /// Reads and checks a rig's file.
@@ -94,8 +114,16 @@ impl RigConfig {
         if let (Some(file), Some(folder)) = (&config.calibration_file, path.parent()) {
             config.calibration_file = Some(folder.join(file));
         }
-        if let (SceneConfig::Obj(file), Some(folder)) = (&mut config.sim.scene, path.parent()) {
-            *file = folder.join(&file);
+        config.processing.start_at(path);
+        if let Some(folder) = path.parent() {
+            match &mut config.sim.scene {
+                SceneConfig::Obj(file) => *file = folder.join(&file),
+                SceneConfig::Sequence(sequence) => sequence.folder = folder.join(&sequence.folder),
+                _ => {}
+            }
+        }
+        if let (Some(recorded), Some(folder)) = (&mut config.recorded, path.parent()) {
+            recorded.path = folder.join(&recorded.path);
         }
         config.validate()?;
         Ok(config)
@@ -110,7 +138,10 @@ impl RigConfig {
             (Some(path), None) => {
                 let file_error = |reason: String| DeviceError::File { path: path.clone(), reason };
                 let text = std::fs::read_to_string(path).map_err(|e| file_error(e.to_string()))?;
-                Calibration::from_toml(&text).map_err(|e| file_error(e.to_string()))
+                let camera_px = [self.camera.width_px, self.camera.height_px];
+                let sizes_px = [camera_px, [self.sequence.width_px, self.sequence.height_px]];
+                let found: Result<_, LightError> = Calibration::from_text(&text, || Ok(sizes_px));
+                found.map_err(|e| file_error(e.to_string()))
             }
             (None, Some(calibration)) => {
                 calibration.validate()?;
@@ -178,7 +209,9 @@ fn simulated_calibration() -> Calibration {
         cy_px: 569.5,
         distortion: Distortion { k1: -0.03, k2: 0.0, p1: 1e-4, p2: 1e-4, k3: 0.0 },
     };
-    let rotation = DMat3::from_rotation_y((160.0f64 / 600.0).atan());
+    // A turn by the angle whose tangent is 160 / 600; the square root is the same on every machine, sine and cosine are not.
+    let [sine, cosine] = [160.0, 600.0].map(|side: f64| side / f64::sqrt(160.0 * 160.0 + 600.0 * 600.0));
+    let rotation = DMat3::from_cols(DVec3::new(cosine, 0.0, -sine), DVec3::Y, DVec3::new(sine, 0.0, cosine));
     let centre_mm = DVec3::new(160.0, 0.0, 0.0);
     Calibration { camera, projector, projector_from_camera: Rigid::new(rotation, -(rotation * centre_mm)) }
 }
@@ -213,6 +246,8 @@ mod tests {
         let missing = RigConfig::read(&rig).unwrap_err().to_string();
         assert!(missing.contains("calibration.toml"), "{missing}");
         std::fs::write(folder.path().join("calibration.toml"), calibration.to_toml().unwrap()).unwrap();
+        assert_eq!(RigConfig::read(&rig).unwrap().calibration().unwrap(), calibration);
+        std::fs::write(folder.path().join("calibration.toml"), calibration.to_opencv()).unwrap();
         assert_eq!(RigConfig::read(&rig).unwrap().calibration().unwrap(), calibration);
     }
 

@@ -2,9 +2,10 @@
 
 pub mod config;
 pub mod frame;
+pub mod recorded;
 pub mod sim;
 
-use crate::light::{Calibration, LightError, Limits, PatternSequence};
+use crate::light::{Calibration, LightError, Limits, PatternSequence, Processing};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
@@ -12,6 +13,7 @@ use std::time::Instant;
 
 pub use config::{Backend, CameraConfig, ProjectorConfig, RigConfig};
 pub use frame::{Frame, PatternIndex};
+pub use recorded::{Pace, RecordedConfig};
 
 /// Why a device did not do what was asked.
 #[derive(Debug, thiserror::Error)]
@@ -41,6 +43,12 @@ pub enum DeviceError {
     /// The device is gone.
     #[error("{0} is disconnected")]
     Disconnected(String),
+    /// Nothing more will come.
+    #[error("{0} has ended")]
+    Ended(String),
+    /// Anything else that the device reports.
+    #[error("{0}")]
+    Failed(String),
 }
 
 impl DeviceError {
@@ -72,6 +80,8 @@ pub struct CameraInfo {
     pub height_px: u32,
     /// Shortest time between two pictures, nanoseconds.
     pub min_period_nanos: u64,
+    /// Waits for whoever reads it, as virtual time and files do; a live sensor goes on without its reader.
+    pub waits_for_reader: bool,
 }
 
 /// What starts an exposure.
@@ -216,6 +226,8 @@ pub struct Rig {
     pub timing: SequenceTiming,
     /// Limits for reconstruction.
     pub limits: Limits,
+    /// Choices for reconstruction.
+    pub processing: Processing,
 }
 
 /// Opens the devices that a configuration names.
@@ -225,11 +237,22 @@ pub struct Rig {
 pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
     config.validate()?;
     let calibration = config.calibration()?;
+    let processing = config.processing.read();
+    let processing = processing.map_err(|e| DeviceError::config("processing.gamma_file", e.to_string()))?;
     let (camera, projector): (Box<dyn Camera>, Box<dyn Projector>) =
         match (config.camera.backend, config.projector.backend) {
             (Backend::Simulated, Backend::Simulated) => {
                 let world = Arc::new(Mutex::new(sim::SimWorld::new(config)?));
                 (Box::new(sim::SimCamera::new(Arc::clone(&world))), Box::new(sim::SimProjector::new(world)))
+            }
+            (Backend::Recorded, Backend::Recorded) => {
+                let deck = Arc::new(Mutex::new(recorded::Deck::open(config)?));
+                let camera = recorded::RecordedCamera::new(Arc::clone(&deck));
+                (Box::new(camera), Box::new(recorded::RecordedProjector::new(deck)))
+            }
+            (Backend::Simulated, Backend::Recorded) | (Backend::Recorded, Backend::Simulated) => {
+                let reason = "camera and projector must both be recorded, or neither";
+                return Err(DeviceError::config("projector.backend", reason));
             }
         };
     Ok(Rig {
@@ -239,5 +262,6 @@ pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
         sequence: config.sequence.clone(),
         timing: config.timing,
         limits: config.limits,
+        processing,
     })
 }

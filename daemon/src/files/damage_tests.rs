@@ -2,6 +2,7 @@
 //! result, never a panic.
 
 use super::{MeshFile, Result, obj::parse_obj, picture::parse_picture, ply::parse_ply};
+use crate::light::{Calibration, LightError};
 use std::path::Path;
 
 /// Calls `check` with every file of a corpus.
@@ -55,5 +56,21 @@ fn pictures() {
         let picture = parse_picture(bytes, path).unwrap();
         assert_eq!((picture.width_px, picture.height_px), (3, 2), "{}", path.display());
         for_each_damage(bytes, |damaged| drop(parse_picture(damaged, path)));
+    });
+}
+
+#[test]
+fn calibrations() {
+    let parse = |bytes: &[u8]| {
+        let text = String::from_utf8_lossy(bytes);
+        Calibration::from_text::<LightError>(&text, || Ok([[640, 480], [912, 1140]]))
+    };
+    for_each_file("calibration", |bytes, path| {
+        let calibration = parse(bytes).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        assert_eq!(calibration.camera.width_px, 640, "{}", path.display());
+        for_each_damage(bytes, |damaged| match parse(damaged) {
+            Ok(calibration) => calibration.validate().unwrap(),
+            Err(error) => assert!(error.to_string().len() < 2 * bytes.len() + 600, "{error}"),
+        });
     });
 }

@@ -5,12 +5,15 @@
 //! memory is taken.
 
 mod assemble;
+pub mod board_corners;
 #[cfg(test)]
 mod damage_tests;
 mod error;
+pub mod landmarks_csv;
 pub mod obj;
 pub mod picture;
 pub mod ply;
+pub mod processing_config;
 pub mod raw_folder;
 pub mod scan_export;
 pub mod scan_folder;
@@ -18,7 +21,10 @@ mod spool;
 
 pub use assemble::{MeshFile, Repairs};
 pub use error::{FileError, Result};
+pub use landmarks_csv::LandmarkTable;
+pub use processing_config::ProcessingConfig;
 pub use raw_folder::RawFolder;
+pub(crate) use scan_export::write_whole;
 pub use scan_export::{ExportFormat, ExportWriter};
 pub use scan_folder::{LoadedScan, ScanFolder};
 pub use spool::ScanSpool;

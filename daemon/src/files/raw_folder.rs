@@ -19,6 +19,7 @@
 
 use super::error::{FileError, Result, read_limited};
 use super::picture::read_picture;
+use super::processing_config::ProcessingConfig;
 use crate::light::{Limits, PatternSequence};
 use gv3_codec::GreyPicture;
 use serde::{Deserialize, Serialize};
@@ -43,6 +44,9 @@ pub struct RawFolder {
     /// Limits of the reconstruction; defaults when left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limits: Option<Limits>,
+    /// How fringe orders are found, and the projector's phase errors.
+    #[serde(default, skip_serializing_if = "ProcessingConfig::is_default")]
+    pub processing: ProcessingConfig,
 }
 
 /// Names of pictures.
@@ -64,10 +68,11 @@ impl RawFolder {
         let bytes = read_limited(path, MAX_TEXT_BYTES)?;
         let text = String::from_utf8(bytes).map_err(|e| FileError::content(path, format!("no text: {e}")))?;
         let content = |reason: String| FileError::content(path, reason);
-        let folder: Self = toml::from_str(&text).map_err(|e| content(e.to_string().trim_end().into()))?;
+        let mut folder: Self = toml::from_str(&text).map_err(|e| content(e.to_string().trim_end().into()))?;
         folder.sequence.validate().map_err(|e| content(e.to_string()))?;
         folder.limits.unwrap_or_default().validate().map_err(|e| content(e.to_string()))?;
         folder.names().map_err(|e| content(e.to_string()))?;
+        folder.processing.start_at(path);
         Ok(folder)
     }
 

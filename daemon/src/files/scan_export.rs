@@ -80,7 +80,7 @@ impl ExportWriter {
 }
 
 /// Writes beside the file, then renames, so that no reader meets half a file.
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<u64> {
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<u64> {
     let mut part = path.as_os_str().to_owned();
     part.push(".part");
     let part = PathBuf::from(part);

@@ -18,6 +18,7 @@ const MAX_LIBRARY_BYTES: u64 = 1 << 20;
 #[derive(Debug, Clone)]
 pub struct ScanFolder {
     path: PathBuf,
+    first_number: u64,
     scans: Vec<ScanFiles>,
 }
 
@@ -73,7 +74,7 @@ impl ScanFolder {
             scans.push(ScanFiles::find(mesh.path, mesh.number - first, &names)?);
         }
         check_pictures(&scans, folder)?;
-        Ok(Self { path: path.into(), scans })
+        Ok(Self { path: path.into(), first_number: first, scans })
     }
 
     /// Number of scans, at least one.
@@ -101,6 +102,14 @@ impl ScanFolder {
     /// When `i >= len()`.
     pub fn tick(&self, i: usize) -> u64 {
         self.scans[i].tick
+    }
+
+    /// Number of scan `i` in its file name, 0 for a single file.
+    ///
+    /// # Panics
+    /// When `i >= len()`.
+    pub fn number(&self, i: usize) -> u64 {
+        self.first_number + self.scans[i].tick
     }
 
     /// Whether the scans have pictures.
@@ -358,6 +367,7 @@ mod tests {
             (0..scans.len()).map(|i| (scans.name(i), scans.tick(i))).collect::<Vec<_>>(),
             [("s9.obj".to_owned(), 0), ("s10.obj".to_owned(), 1), ("S11.OBJ".to_owned(), 2)]
         );
+        assert_eq!((scans.number(0), scans.number(2)), (9, 11));
         let f = folder(&["a_003.ply", "a_010.ply", "a_007.ply"]);
         let scans = ScanFolder::open(f.path()).unwrap();
         assert_eq!((0..3).map(|i| scans.tick(i)).collect::<Vec<_>>(), [0, 4, 7]);

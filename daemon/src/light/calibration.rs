@@ -1,8 +1,9 @@
 //! Geometry of the rig: two lenses and the pose between them.
 //!
 //! Camera and projector share one model: pinhole with Brown's distortion as in Zhang, "A flexible new technique for camera
-//! calibration", PAMI 22(11), 2000, coefficients in OpenCV's order (k1 k2 p1 p2 k3). Frames: x right, y down, z forward; pixel
-//! centres at whole numbers; millimetres. The projector is an inverse camera.
+//! calibration", PAMI 22(11), 2000, coefficients in OpenCV's order (k1 k2 p1 p2 k3). Frames: x right, y down, z forward; millimetres.
+//! Whole numbers are pixel centres, as in OpenCV: (0, 0) is the centre of the first pixel and a picture of w columns reaches
+//! from -0.5 to w - 0.5. The projector is an inverse camera; code c names the centre of its column c.
 
 use super::LightError;
 use glam::{DMat3, DVec2, DVec3};
@@ -25,6 +26,17 @@ pub struct Distortion {
 }
 
 impl Distortion {
+    /// From coefficients in OpenCV's order; the fifth, k3, may be left out. The reason where they are of a larger model.
+    pub(super) fn from_opencv(coefficients: &[f64]) -> Result<Self, String> {
+        let [k1, k2, p1, p2, rest @ ..] = coefficients else {
+            return Err(format!("{} coefficients, expected k1 k2 p1 p2 and k3", coefficients.len()));
+        };
+        if rest.iter().skip(1).any(|&more| more != 0.0) {
+            return Err("coefficients beyond k3 are not supported; calibrate with five".into());
+        }
+        Ok(Self { k1: *k1, k2: *k2, p1: *p1, p2: *p2, k3: rest.first().copied().unwrap_or(0.0) })
+    }
+
     /// No distortion at all.
     pub fn is_zero(&self) -> bool {
         *self == Self::default()

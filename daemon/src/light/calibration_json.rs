@@ -49,14 +49,7 @@ fn intrinsics(keys: [&str; 2], px: [u32; 2], k: [[f64; 3]; 3], d: &[f64]) -> Res
     if k[0][1] != 0.0 || k[1][0] != 0.0 || k[2] != [0.0, 0.0, 1.0] {
         return Err(LightError::field(keys[0], "expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"));
     }
-    let [k1, k2, p1, p2, rest @ ..] = d else {
-        return Err(LightError::field(keys[1], format!("{} coefficients, expected k1 k2 p1 p2 and k3", d.len())));
-    };
-    if rest.iter().skip(1).any(|&more| more != 0.0) {
-        return Err(LightError::field(keys[1], "coefficients beyond k3 are not supported; calibrate with five"));
-    }
-    let k3 = rest.first().copied().unwrap_or(0.0);
-    let distortion = Distortion { k1: *k1, k2: *k2, p1: *p1, p2: *p2, k3 };
+    let distortion = Distortion::from_opencv(d).map_err(|reason| LightError::field(keys[1], reason))?;
     let [width_px, height_px] = px;
     Ok(Intrinsics { width_px, height_px, fx_px: k[0][0], fy_px: k[1][1], cx_px: k[0][2], cy_px: k[1][2], distortion })
 }

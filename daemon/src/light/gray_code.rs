@@ -106,7 +106,14 @@ impl GrayDecoder {
         }
     }
 
-    /// Rejects, in `mask`, pixels that the projector does not light or lights too little; `limits` are those of a sinusoid,
+    /// Whether any picture that the code is read from clips pixel `i`, so that differences no longer say where an edge is.
+    fn is_saturated(&self, pictures: &[&GreyPicture], level: u8, i: usize) -> bool {
+        let is_clipped = |picture: usize| pictures[picture].pixels[i] >= level;
+        self.bits.iter().any(|&(picture, inverse)| is_clipped(picture) || inverse.is_some_and(is_clipped))
+            || self.white_black.is_some_and(|(white, black)| is_clipped(white) || is_clipped(black))
+    }
+
+    /// Rejects, in `mask`, pixels that are saturated, and those that the projector does not light or lights too little; `limits` are those of a sinusoid,
     /// whose modulation is half the range.
     ///
     /// # Panics
@@ -114,7 +121,9 @@ impl GrayDecoder {
     pub fn reject_shadow(&self, pictures: &[&GreyPicture], limits: MaskLimits, mask: &mut PixelMask) {
         for i in 0..mask.verdicts.len() {
             let (range, sum) = self.range(pictures, i);
-            let new = if range < 2.0 * limits.min_modulation {
+            let new = if self.is_saturated(pictures, limits.saturated_level, i) {
+                Rejection::Saturated
+            } else if range < 2.0 * limits.min_modulation {
                 Rejection::Shadow
             } else if range < limits.min_data_modulation * sum {
                 Rejection::LowDataModulation
@@ -300,6 +309,20 @@ mod tests {
         assert_eq!(mask.verdicts, expected);
         assert_eq!(codes.codes[3], 150);
         assert!(codes.confidence[3] > 0.9 && codes.confidence[1] < 0.05);
+    }
+
+    #[test]
+    fn a_clipped_picture_rejects_the_pixel_as_saturated() {
+        let sequence = PatternSequence::gray_code([300, 200], &[Direction::Columns]);
+        for picture in [3, 18] {
+            let mut pictures = pictures(&sequence, [4, 1], 0.0, |x, _| f64::from(x) * 50.0);
+            pictures[picture].pixels[2] = 253;
+            let refs: Vec<&GreyPicture> = pictures.iter().collect();
+            let mut mask = PixelMask::new(4, 1);
+            let decoder = GrayDecoder::new(&sequence, Direction::Columns).unwrap().unwrap();
+            decoder.reject_shadow(&refs, MaskLimits::default(), &mut mask);
+            assert_eq!((mask.verdicts[2], mask.count().saturated), (Rejection::Saturated, 1), "picture {picture}");
+        }
     }
 
     #[test]

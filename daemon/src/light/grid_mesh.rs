@@ -6,6 +6,7 @@ use super::triangulate::PointGrid;
 use glam::Vec3;
 use gv3_codec::{GreyPicture, mesh::TriMesh};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Limits on triangles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -41,39 +42,62 @@ impl MeshLimits {
     }
 }
 
-/// How one cell, the square of four neighbouring pixels, is triangulated: three corners a triangle, corners numbered
-/// 0 top left, 1 top right, 2 bottom left, 3 bottom right, counter-clockwise seen from the camera.
-const TRIANGLES: [[usize; 3]; 4] = [[0, 2, 1], [1, 2, 3], [0, 2, 3], [0, 3, 1]];
-/// Pairs of [`TRIANGLES`] that share the diagonal 1-2, and 0-3.
-const RISING: [u8; 2] = [0, 1];
-const FALLING: [u8; 2] = [2, 3];
-
-/// Bit c: corner c is part of the triangles that an index's bits name.
-const CORNERS: [u8; 16] = {
-    let mut corners = [0; 16];
-    let mut bits = 0;
-    while bits < 16 {
-        let mut k = 0;
-        while k < 4 {
-            if bits >> k & 1 != 0 {
-                let [a, b, c] = TRIANGLES[k];
-                corners[bits] |= 1 << a | 1 << b | 1 << c;
-            }
-            k += 1;
-        }
-        bits += 1;
-    }
-    corners
-};
+/// Bits of a cell, the square of four neighbouring pixels (corners 0 top left, 1 top right, 2 bottom left, 3 bottom right),
+/// one a triangle, counter-clockwise seen from the camera: 0-2-1 and 1-2-3 share one diagonal, 0-2-3 and 0-3-1 the other.
+const RISING: u8 = 0b0011;
+/// Places to shift the bits of [`RISING`] by for the other diagonal.
+const FALLING_SHIFT: u32 = 2;
 
 /// Makes meshes of point grids; keeps its buffers between scans.
 #[derive(Debug, Clone)]
 pub struct GridMesher {
     limits: MeshLimits,
     min_cosine_squared: f32,
-    /// Bit k: triangle k of [`TRIANGLES`] is in the mesh; one byte a cell, `width - 1` cells a row.
+    /// Bits of the triangles in the mesh; one byte a cell, `width - 1` cells a row.
     cells: Vec<u8>,
-    vertex_of_pixel: Vec<u32>,
+    /// Cells of every row outside of which there are no triangles.
+    spans: Vec<Range<usize>>,
+    rows: [PointRow; 2],
+    emitter: RowEmitter,
+}
+
+/// Coordinates of one row of points, each by itself so that loops over them vectorize.
+#[derive(Debug, Clone, Default)]
+struct PointRow {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    /// From the first point that is there to the last.
+    span: Range<usize>,
+}
+
+impl PointRow {
+    fn fill(&mut self, points: &[Vec3]) {
+        let n = points.len();
+        let is_there = |p: &Vec3| !p.x.is_nan();
+        let first = points.iter().position(is_there).unwrap_or(n);
+        self.span = first..points.iter().rposition(is_there).map_or(n, |last| last + 1);
+        for axis in [&mut self.x, &mut self.y, &mut self.z] {
+            axis.clear();
+            axis.resize(n, f32::NAN);
+        }
+        let [x, y, z] = [&mut self.x, &mut self.y, &mut self.z].map(|axis| &mut axis[self.span.clone()]);
+        for (p, (x, (y, z))) in points[self.span.clone()].iter().zip(x.iter_mut().zip(y.iter_mut().zip(z))) {
+            (*x, *y, *z) = (p.x, p.y, p.z);
+        }
+    }
+}
+
+/// Vertices and triangles of one row of pixels on their way into the mesh.
+#[derive(Debug, Clone, Default)]
+struct RowEmitter {
+    is_used: Vec<u8>,
+    /// Vertex of every pixel of this row and of the row above; of pixels in use only.
+    vertex: Vec<u32>,
+    vertex_above: Vec<u32>,
+    positions_mm: Vec<Vec3>,
+    uv: Vec<[f32; 2]>,
+    triangles: Vec<[u32; 3]>,
 }
 
 /// A run of cells with triangles in one row of cells.
@@ -92,7 +116,14 @@ impl GridMesher {
     pub fn new(limits: MeshLimits) -> Result<Self, LightError> {
         limits.validate()?;
         let cosine = limits.max_angle_deg.to_radians().cos();
-        Ok(Self { limits, min_cosine_squared: cosine * cosine, cells: Vec::new(), vertex_of_pixel: Vec::new() })
+        Ok(Self {
+            limits,
+            min_cosine_squared: cosine * cosine,
+            cells: Vec::new(),
+            spans: Vec::new(),
+            rows: Default::default(),
+            emitter: RowEmitter::default(),
+        })
     }
 
     /// The mesh of all points, one vertex a pixel in row-major order, uv at the pixel's centre, normals towards the camera.
@@ -109,55 +140,70 @@ impl GridMesher {
         if self.limits.min_piece_px > 0 {
             self.drop_small_pieces(grid.width_px - 1);
         }
-        self.number_vertices(grid, mask);
-        self.emit(grid)
+        self.emit(grid, mask)
     }
 
     fn triangulate_cells(&mut self, grid: &PointGrid) {
-        let (w, h) = (grid.width_px, grid.height_px);
+        let w = grid.width_px;
         let mut cells = std::mem::take(&mut self.cells);
         cells.clear();
-        cells.resize((w - 1) * (h - 1), 0);
-        for y in 0..h - 1 {
-            let top = &grid.points_mm[y * w..][..w];
-            let bottom = &grid.points_mm[(y + 1) * w..][..w];
-            for (x, cell) in cells[y * (w - 1)..][..w - 1].iter_mut().enumerate() {
-                *cell = self.triangulate_cell([top[x], top[x + 1], bottom[x], bottom[x + 1]]);
+        cells.resize((w - 1) * (grid.height_px - 1), 0);
+        self.spans.clear();
+        let [mut above, mut here] = std::mem::take(&mut self.rows);
+        above.fill(&grid.points_mm[..w]);
+        for (points, cells) in grid.points_mm[w..].chunks_exact(w).zip(cells.chunks_exact_mut(w - 1)) {
+            here.fill(points);
+            let mut span = above.span.start.min(here.span.start)..above.span.end.max(here.span.end) - 1;
+            if above.span.is_empty() || here.span.is_empty() {
+                // A triangle has corners in both rows.
+                span = 0..0;
             }
+            self.triangulate_row(&above, &here, span.clone(), &mut cells[span.clone()]);
+            self.spans.push(span);
+            std::mem::swap(&mut above, &mut here);
         }
         self.cells = cells;
+        self.rows = [above, here];
     }
 
-    #[inline]
-    fn triangulate_cell(&self, p: [Vec3; 4]) -> u8 {
-        // Most cells are all there or all missing: one branch each.
-        let missing = p.iter().enumerate().fold(0, |bits, (k, c)| bits | u8::from(c.x.is_nan()) << k);
-        let candidates: &[u8] = match missing {
-            0b0000 if p[1].distance_squared(p[2]) <= p[0].distance_squared(p[3]) => &RISING,
-            0b0000 => &FALLING,
-            0b1000 => &[0],
-            0b0001 => &[1],
-            0b0010 => &[2],
-            0b0100 => &[3],
-            _ => return 0,
-        };
-        let mut bits = 0;
-        for &k in candidates {
-            let [a, b, c] = TRIANGLES[k as usize].map(|corner| p[corner]);
-            bits |= u8::from(self.is_surface(a, b, c)) << k;
+    /// Bits of the cells of a span. Points that are missing are NaN, for which no comparison holds.
+    fn triangulate_row(&self, top: &PointRow, bottom: &PointRow, span: Range<usize>, cells: &mut [u8]) {
+        let corner = span.start..span.end + 1;
+        let [tx, ty, tz] = [&top.x, &top.y, &top.z].map(|axis| &axis[corner.clone()]);
+        let [bx, by, bz] = [&bottom.x, &bottom.y, &bottom.z].map(|axis| &axis[corner.clone()]);
+        for i in 0..cells.len().min(tx.len() - 1) {
+            let p0 = Vec3::new(tx[i], ty[i], tz[i]);
+            let p1 = Vec3::new(tx[i + 1], ty[i + 1], tz[i + 1]);
+            let p2 = Vec3::new(bx[i], by[i], bz[i]);
+            let p3 = Vec3::new(bx[i + 1], by[i + 1], bz[i + 1]);
+            let falling2 = (p0 - p3).length_squared();
+            // Without 0 or 3 only this diagonal is left; without 1 or 2 the comparison fails, and only the other.
+            let is_rising = ((p1 - p2).length_squared() <= falling2) | falling2.is_nan();
+            let pick = |rising: Vec3, falling: Vec3| {
+                let axis = |r: f32, f: f32| if is_rising { r } else { f };
+                Vec3::new(axis(rising.x, falling.x), axis(rising.y, falling.y), axis(rising.z, falling.z))
+            };
+            // Both triangles turn about one end of the diagonal: 1 with 0-2-3, or 0 with 2-3-1.
+            let hub = pick(p1, p0);
+            let edges = [pick(p0, p2) - hub, pick(p2, p3) - hub, pick(p3, p1) - hub];
+            let first = self.is_surface(hub, edges[0], edges[1]);
+            let second = self.is_surface(hub, edges[1], edges[2]);
+            let bits = u8::from(first) | u8::from(second) << 1;
+            cells[i] = if is_rising { bits } else { bits << FALLING_SHIFT };
         }
-        bits
     }
 
-    /// Whether the triangle is neither a depth jump nor seen too flat; the camera is the origin.
-    #[inline]
-    fn is_surface(&self, a: Vec3, b: Vec3, c: Vec3) -> bool {
-        let step = (a.z - b.z).abs().max((b.z - c.z).abs()).max((c.z - a.z).abs());
-        let normal = (b - a).cross(c - a);
-        let towards = -normal.dot(a);
-        step <= self.limits.max_depth_step_mm
-            && towards > 0.0
-            && towards * towards >= self.min_cosine_squared * normal.length_squared() * a.length_squared()
+    /// Whether the triangle of a corner and two edges from it is neither a depth jump nor seen too flat; the camera is the
+    /// origin.
+    #[inline(always)]
+    fn is_surface(&self, corner: Vec3, b: Vec3, c: Vec3) -> bool {
+        let larger = |a: f32, b: f32| if a > b { a } else { b };
+        let step = larger(larger(b.z.abs(), c.z.abs()), (b.z - c.z).abs());
+        let normal = b.cross(c);
+        let towards = -normal.dot(corner);
+        (step <= self.limits.max_depth_step_mm)
+            & (towards > 0.0)
+            & (towards * towards >= self.min_cosine_squared * normal.length_squared() * corner.length_squared())
     }
 
     /// Clears the cells of pieces below the size limit; pieces are cells connected along rows and columns.
@@ -165,9 +211,9 @@ impl GridMesher {
         let mut runs: Vec<Run> = Vec::new();
         let mut row_starts = vec![0];
         let mut parents: Vec<u32> = Vec::new();
-        for row in self.cells.chunks_exact(width) {
+        for (row, span) in self.cells.chunks_exact(width).zip(&self.spans) {
             let above = row_starts[row_starts.len().saturating_sub(2)]..runs.len();
-            collect_runs(row, &mut runs, &mut parents);
+            collect_runs(row, span.clone(), &mut runs, &mut parents);
             join_runs(&runs[above.clone()], &runs[above.end..], &mut parents);
             row_starts.push(runs.len());
         }
@@ -184,67 +230,110 @@ impl GridMesher {
         }
     }
 
-    fn number_vertices(&mut self, grid: &PointGrid, mask: &mut PixelMask) {
-        let w = grid.width_px;
-        self.vertex_of_pixel.clear();
-        self.vertex_of_pixel.resize(grid.points_mm.len(), u32::MAX);
-        for (y, row) in self.cells.chunks_exact(w - 1).enumerate() {
-            for (x, &bits) in row.iter().enumerate().filter(|(_, bits)| **bits != 0) {
-                let used = CORNERS[bits as usize];
-                for corner in (0..4).filter(|corner| used >> corner & 1 != 0) {
-                    self.vertex_of_pixel[(y + corner / 2) * w + x + corner % 2] = 0;
-                }
-            }
+    fn emit(&mut self, grid: &PointGrid, mask: &mut PixelMask) -> TriMesh {
+        let (w, h) = (grid.width_px, grid.height_px);
+        let picture = GreyPicture { width_px: w as u32, height_px: h as u32, pixels: Vec::new() };
+        let column_uv: Vec<f32> = (0..w).map(|x| picture.px_to_uv([x as f32, 0.0])[0]).collect();
+        let cell_count = self.cells.iter().filter(|bits| **bits != 0).count();
+        let mut mesh = TriMesh {
+            positions_mm: Vec::with_capacity(cell_count + w + h),
+            triangles: Vec::with_capacity(2 * cell_count),
+            uv: None,
+        };
+        let mut uv = Vec::with_capacity(cell_count + w + h);
+        let no_cells = vec![0; w - 1];
+        let row_of_cells = |y: usize| match self.spans.get(y) {
+            Some(span) => (&self.cells[y * (w - 1)..][..w - 1], span.clone()),
+            None => (&no_cells[..], 0..0),
+        };
+        let (mut above, mut span_above) = (&no_cells[..], 0..0);
+        for y in 0..h {
+            let (below, span_below) = row_of_cells(y);
+            let row = y * w..(y + 1) * w;
+            self.emitter.use_pixels(above, below, &mut mask.verdicts[row.clone()]);
+            // A cell reaches one pixel further than its number.
+            let pixels = span_above.start.min(span_below.start)..span_above.end.max(span_below.end) + 1;
+            let first = mesh.positions_mm.len() as u32;
+            let row_uv = picture.px_to_uv([0.0, y as f32])[1];
+            self.emitter.push_vertices(pixels, &grid.points_mm[row], &column_uv, row_uv, first);
+            mesh.positions_mm.extend_from_slice(&self.emitter.positions_mm);
+            uv.extend_from_slice(&self.emitter.uv);
+            mesh.triangles.extend_from_slice(self.emitter.triangles_of(above, span_above));
+            (above, span_above) = (below, span_below);
         }
-        let mut next = 0;
-        for (vertex, verdict) in self.vertex_of_pixel.iter_mut().zip(mask.verdicts.iter_mut()) {
-            if *vertex == 0 {
-                *vertex = next;
-                next += 1;
-            } else if *verdict == Rejection::Kept {
-                *verdict = Rejection::Unmeshed;
-            }
-        }
-    }
-
-    fn emit(&self, grid: &PointGrid) -> TriMesh {
-        let w = grid.width_px;
-        let picture = GreyPicture { width_px: w as u32, height_px: grid.height_px as u32, pixels: Vec::new() };
-        let mut positions_mm = Vec::with_capacity(grid.points_mm.len() / 2);
-        let mut uv = Vec::with_capacity(grid.points_mm.len() / 2);
-        for (i, &point) in grid.points_mm.iter().enumerate().filter(|(i, _)| self.vertex_of_pixel[*i] != u32::MAX) {
-            positions_mm.push(point);
-            uv.push(picture.px_to_uv([(i % w) as f32, (i / w) as f32]));
-        }
-        let mut triangles = Vec::with_capacity(2 * positions_mm.len());
-        for (y, row) in self.cells.chunks_exact(w - 1).enumerate() {
-            for (x, &bits) in row.iter().enumerate().filter(|(_, bits)| **bits != 0) {
-                for_each_triangle(bits, |corners| {
-                    triangles.push(corners.map(|c| self.vertex_of_pixel[(y + c / 2) * w + x + c % 2]));
-                });
-            }
-        }
-        TriMesh { positions_mm, triangles, uv: Some(uv) }
+        TriMesh { uv: Some(uv), ..mesh }
     }
 }
 
-#[inline]
-fn for_each_triangle(bits: u8, mut visit: impl FnMut([usize; 3])) {
-    let mut rest = bits;
-    while rest != 0 {
-        visit(TRIANGLES[rest.trailing_zeros() as usize]);
-        rest &= rest - 1;
+impl RowEmitter {
+    /// Finds the pixels with a triangle in the cells above or below them, and rejects the others.
+    fn use_pixels(&mut self, above: &[u8], below: &[u8], verdicts: &mut [Rejection]) {
+        let n = verdicts.len();
+        self.is_used.clear();
+        self.is_used.resize(n, 0);
+        // Corner c of a cell is in use when one of the three triangles that have it is there.
+        for ((b, a), used) in below.iter().zip(above).zip(&mut self.is_used) {
+            *used |= (b | b >> 2 | b >> 3 | a | a >> 1 | a >> 2) & 1;
+        }
+        for ((b, a), used) in below.iter().zip(above).zip(&mut self.is_used[1..]) {
+            *used |= (b | b >> 1 | b >> 3 | a >> 1 | a >> 2 | a >> 3) & 1;
+        }
+        for (verdict, used) in verdicts.iter_mut().zip(&self.is_used) {
+            let is_left = (*verdict == Rejection::Kept) & (*used == 0);
+            *verdict = if is_left { Rejection::Unmeshed } else { *verdict };
+        }
+    }
+
+    /// Numbers the pixels in use from `next` on and gathers their points; without branches, since outlines are ragged.
+    fn push_vertices(&mut self, pixels: Range<usize>, points_mm: &[Vec3], column_uv: &[f32], row_uv: f32, next: u32) {
+        std::mem::swap(&mut self.vertex, &mut self.vertex_above);
+        for vertices in [&mut self.vertex, &mut self.vertex_above] {
+            vertices.resize(points_mm.len(), 0);
+        }
+        self.positions_mm.resize(pixels.len(), Vec3::ZERO);
+        self.uv.resize(pixels.len(), [0.0; 2]);
+        let mut count = 0;
+        let (positions_mm, uv) = (&mut self.positions_mm[..], &mut self.uv[..]);
+        let (used, vertices) = (&self.is_used[pixels.clone()], &mut self.vertex[pixels.clone()]);
+        let inputs = points_mm[pixels.clone()].iter().zip(&column_uv[pixels]);
+        for ((point, u), (used, vertex)) in inputs.zip(used.iter().zip(vertices)) {
+            *vertex = next + count as u32;
+            positions_mm[count] = *point;
+            uv[count] = [*u, row_uv];
+            count += usize::from(*used);
+        }
+        self.positions_mm.truncate(count);
+        self.uv.truncate(count);
+    }
+
+    /// Triangles of a row of cells between the last two rows of pixels.
+    fn triangles_of(&mut self, cells: &[u8], span: Range<usize>) -> &[[u32; 3]] {
+        self.triangles.resize(2 * cells.len(), [0; 3]);
+        let (triangles, mut count) = (&mut self.triangles[..], 0);
+        let corners = span.start..(span.end + 1).min(self.vertex.len());
+        let corners = self.vertex_above[corners.clone()].windows(2).zip(self.vertex[corners].windows(2));
+        for (&bits, (top, bottom)) in cells[span].iter().zip(corners) {
+            let (v0, v1, v2, v3) = (top[0], top[1], bottom[0], bottom[1]);
+            // Which diagonal is taken hangs on noise, so no branch could guess it.
+            let falling = 0u32.wrapping_sub(u32::from(bits > RISING));
+            let pick = |rising: u32, other: u32| rising ^ ((rising ^ other) & falling);
+            triangles[count] = [v0, v2, pick(v1, v3)];
+            count += usize::from((bits | bits >> FALLING_SHIFT) & 1);
+            triangles[count] = [pick(v1, v0), pick(v2, v3), pick(v3, v1)];
+            count += usize::from((bits | bits >> FALLING_SHIFT) >> 1 & 1);
+        }
+        &self.triangles[..count]
     }
 }
 
-fn collect_runs(row: &[u8], runs: &mut Vec<Run>, parents: &mut Vec<u32>) {
-    let mut x = 0;
-    while x < row.len() {
+fn collect_runs(row: &[u8], span: Range<usize>, runs: &mut Vec<Run>, parents: &mut Vec<u32>) {
+    let mut x = span.start;
+    while x < span.end {
         if row[x] == 0 {
             x += 1;
             continue;
         }
-        let length = row[x..].iter().take_while(|&&bits| bits != 0).count();
+        let length = row[x..span.end].iter().take_while(|&&bits| bits != 0).count();
         let piece = parents.len() as u32;
         parents.push(piece);
         runs.push(Run { start: x as u32, end: (x + length) as u32, piece });

@@ -27,44 +27,70 @@ pub enum ProjectorCoordinates<'a> {
     Both(&'a [f32], &'a [f32]),
 }
 
-/// Points of all kept pixels, scan frame; rejects, in `mask`, those off the epipolar line and outside the working range.
+/// Rays of a rig's camera, for one scan after the other.
+#[derive(Debug, Clone)]
+pub struct Intersector {
+    calibration: Calibration,
+    depth: DepthRange,
+    rays: Vec<DVec2>,
+}
+
+impl Intersector {
+    /// Rays for a rig and a working range.
+    ///
+    /// # Errors
+    /// [`LightError::Field`] for a calibration or range that cannot work.
+    pub fn new(calibration: &Calibration, depth: DepthRange) -> Result<Self, LightError> {
+        calibration.validate()?;
+        depth.validate()?;
+        Ok(Self { calibration: *calibration, depth, rays: calibration.camera.ray_table("camera")? })
+    }
+
+    /// Points of all kept pixels, scan frame; rejects, in `mask`, those off the epipolar line and outside the working range.
+    ///
+    /// # Panics
+    /// When a slice, the mask or the grid is not of the camera's size.
+    pub fn intersect(&self, coordinates: ProjectorCoordinates<'_>, mask: &mut PixelMask, out: &mut PointGrid) {
+        assert_eq!(self.rays.len(), mask.verdicts.len(), "calibration and mask differ in size");
+        let rotation = self.calibration.projector_from_camera.matrix();
+        out.points_mm.fill(Vec3::NAN);
+        for (i, ray) in self.rays.iter().enumerate() {
+            if !mask.is_kept(i) {
+                continue;
+            }
+            let ray_in_projector = rotation * ray.extend(1.0);
+            let px = |coordinate: f32| Some(f64::from(coordinate));
+            let [column, row] = match coordinates {
+                ProjectorCoordinates::Columns(columns) => [px(columns[i]), None],
+                ProjectorCoordinates::Rows(rows) => [None, px(rows[i])],
+                ProjectorCoordinates::Both(columns, rows) => [px(columns[i]), px(rows[i])],
+            };
+            match depth_mm(&self.calibration, ray_in_projector, column, row) {
+                Some((_, distance_px)) if distance_px > MAX_EPIPOLAR_PX => mask.verdicts[i] = Rejection::Epipolar,
+                Some((z_mm, _)) if z_mm >= self.depth.near_mm && z_mm <= self.depth.far_mm => {
+                    out.points_mm[i] = Vec3::new((ray.x * z_mm) as f32, (-ray.y * z_mm) as f32, -z_mm as f32);
+                }
+                _ => mask.verdicts[i] = Rejection::DepthRange,
+            }
+        }
+    }
+}
+
+/// One scan by an [`Intersector`].
 ///
 /// # Errors
-/// [`LightError::Field`] for a calibration or range that cannot work.
+/// As [`Intersector::new`].
 ///
 /// # Panics
-/// When a slice or the mask is not of the camera's size.
+/// As [`Intersector::intersect`].
 pub fn intersect(
     calibration: &Calibration,
     coordinates: ProjectorCoordinates<'_>,
     depth: DepthRange,
     mask: &mut PixelMask,
 ) -> Result<PointGrid, LightError> {
-    calibration.validate()?;
-    depth.validate()?;
-    let rotation = calibration.projector_from_camera.matrix();
-    let rays = calibration.camera.ray_table("camera")?;
-    assert_eq!(rays.len(), mask.verdicts.len(), "calibration and mask differ in size");
     let mut grid = PointGrid::new(mask.width_px, mask.height_px);
-    for (i, ray) in rays.iter().enumerate() {
-        if !mask.is_kept(i) {
-            continue;
-        }
-        let ray_in_projector = rotation * ray.extend(1.0);
-        let px = |coordinate: f32| Some(f64::from(coordinate));
-        let [column, row] = match coordinates {
-            ProjectorCoordinates::Columns(columns) => [px(columns[i]), None],
-            ProjectorCoordinates::Rows(rows) => [None, px(rows[i])],
-            ProjectorCoordinates::Both(columns, rows) => [px(columns[i]), px(rows[i])],
-        };
-        match depth_mm(calibration, ray_in_projector, column, row) {
-            Some((_, distance_px)) if distance_px > MAX_EPIPOLAR_PX => mask.verdicts[i] = Rejection::Epipolar,
-            Some((z_mm, _)) if z_mm >= depth.near_mm && z_mm <= depth.far_mm => {
-                grid.points_mm[i] = Vec3::new((ray.x * z_mm) as f32, (-ray.y * z_mm) as f32, -z_mm as f32);
-            }
-            _ => mask.verdicts[i] = Rejection::DepthRange,
-        }
-    }
+    Intersector::new(calibration, depth)?.intersect(coordinates, mask, &mut grid);
     Ok(grid)
 }
 

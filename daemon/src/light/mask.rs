@@ -32,6 +32,8 @@ pub enum Rejection {
     CodeRange,
     /// Projector column and row are not on the pixel's epipolar line.
     Epipolar,
+    /// In a piece of relative phase that the working range does not place.
+    Unanchored,
 }
 
 /// Rejected pixels of one scan, by cause.
@@ -60,6 +62,8 @@ pub struct RejectedPixels {
     pub code_range: u64,
     /// Projector column and row off the epipolar line.
     pub epipolar: u64,
+    /// Relative phase only, in a piece that the working range does not place.
+    pub unanchored: u64,
 }
 
 impl std::ops::AddAssign for RejectedPixels {
@@ -75,6 +79,7 @@ impl std::ops::AddAssign for RejectedPixels {
         self.uncertain_bit += other.uncertain_bit;
         self.code_range += other.code_range;
         self.epipolar += other.epipolar;
+        self.unanchored += other.unanchored;
     }
 }
 
@@ -92,6 +97,26 @@ impl RejectedPixels {
             + self.uncertain_bit
             + self.code_range
             + self.epipolar
+            + self.unanchored
+    }
+
+    /// The cause that rejected most pixels, and how many; `None` when none was rejected.
+    pub fn main_cause(&self) -> Option<(&'static str, u64)> {
+        let causes = [
+            ("saturated", self.saturated),
+            ("low_modulation", self.low_modulation),
+            ("low_data_modulation", self.low_data_modulation),
+            ("eroded", self.eroded),
+            ("fringe_order", self.fringe_order),
+            ("depth_range", self.depth_range),
+            ("unmeshed", self.unmeshed),
+            ("shadow", self.shadow),
+            ("uncertain_bit", self.uncertain_bit),
+            ("code_range", self.code_range),
+            ("epipolar", self.epipolar),
+            ("unanchored", self.unanchored),
+        ];
+        causes.into_iter().max_by_key(|(_, count)| *count).filter(|(_, count)| *count > 0)
     }
 }
 
@@ -195,11 +220,9 @@ impl PixelMask {
 
     /// Counts the rejected pixels by cause.
     pub fn count(&self) -> RejectedPixels {
-        let mut histogram = [0u64; 12];
-        for v in &self.verdicts {
-            histogram[*v as usize] += 1;
-        }
-        let of = |cause: Rejection| histogram[cause as usize];
+        // A pass a cause vectorizes; one histogram waits for its own last store at every pixel.
+        let in_few = |few: &[Rejection], cause| few.iter().map(|v| u8::from(*v == cause)).sum::<u8>();
+        let of = |cause: Rejection| self.verdicts.chunks(128).map(|few| u64::from(in_few(few, cause))).sum();
         RejectedPixels {
             saturated: of(Rejection::Saturated),
             low_modulation: of(Rejection::LowModulation),
@@ -212,6 +235,7 @@ impl PixelMask {
             uncertain_bit: of(Rejection::UncertainBit),
             code_range: of(Rejection::CodeRange),
             epipolar: of(Rejection::Epipolar),
+            unanchored: of(Rejection::Unanchored),
         }
     }
 }

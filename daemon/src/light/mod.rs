@@ -1,30 +1,54 @@
 //! Structured light: patterns out, pictures in, surface out. Knows no device and no clock.
 
 pub mod absolute;
+pub mod board;
+pub mod calibrate;
 pub mod calibration;
 mod calibration_json;
+mod calibration_opencv;
+mod calibration_text;
+pub mod chessboard;
+mod chessboard_corners;
+mod chessboard_grid;
 pub mod dither;
+mod field;
+pub mod gamma;
+pub mod geometric;
 pub mod gray_code;
 pub mod grid_mesh;
+pub mod homography;
 pub mod intersect;
 pub mod mask;
+pub mod motion;
+mod opencv_yaml;
 pub mod pattern;
 mod pattern_text;
 pub mod phase;
+pub mod processing;
+pub mod projector_corners;
 mod schemes;
+pub mod spatial;
 pub mod triangulate;
 pub mod unwrap;
 
 use serde::{Deserialize, Serialize};
 
 pub use absolute::AbsoluteDecoder;
+pub use board::{Board, BoardView};
 pub use calibration::{Calibration, Distortion, Intrinsics, Rigid};
+pub use calibration_text::CalibrationFormat;
+pub use chessboard::{ChessboardError, find_chessboard};
+pub use gamma::GammaTable;
+pub use geometric::MinimumPhase;
 pub use gray_code::{GrayCodes, GrayDecoder};
 pub use grid_mesh::{GridMesher, MeshLimits};
-pub use intersect::{ProjectorCoordinates, intersect};
+pub use intersect::{Intersector, ProjectorCoordinates, intersect};
 pub use mask::{MaskLimits, PixelMask, RejectedPixels, Rejection};
+pub use motion::MotionCorrector;
 pub use pattern::{Direction, Pattern, PatternKind, PatternSequence};
 pub use phase::{PhaseExtractor, WrappedPhase};
+pub use processing::{MotionCorrection, Processing, Unwrap};
+pub use projector_corners::{UnreadCorners, projector_corners};
 pub use triangulate::{PointGrid, Triangulator};
 pub use unwrap::Unwrapper;
 

@@ -77,7 +77,7 @@ impl Pattern {
     pub fn level(&self, u: u32) -> f64 {
         match self.kind {
             PatternKind::Sinusoid { period_px, shift_rad } => {
-                0.5 + 0.5 * (TAU * f64::from(u) / period_px + shift_rad).cos()
+                0.5 + 0.5 * libm::cos(TAU * f64::from(u) / period_px + shift_rad)
             }
             PatternKind::Gray { bit, inverse } => {
                 f64::from(u8::from(((u ^ (u >> 1)) >> bit) & 1 == u32::from(!inverse)))

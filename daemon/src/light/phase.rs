@@ -3,7 +3,12 @@
 //! For I_n = A + B cos(phi + shift_n), shifts dividing the circle evenly:
 //! phi = -atan2(sum I_n sin shift_n, sum I_n cos shift_n), B = 2/N |(sum sin, sum cos)|, A = mean I_n
 //! (Creath, "Phase-measurement interferometry techniques", Progress in Optics 26, 1988, least squares form).
-//! 2+1 (two sinusoids and the half level) is the exact solution of the same model. The noise of N steps is sqrt(2/N) sigma / B for grey-level noise sigma.
+//! 2+1 (two sinusoids and the half level) is the exact solution of the same model.
+//!
+//! Noise of the phase for independent grey-level noise sigma, radians: sqrt(2/N) sigma / B for N steps, so 0.82 for 3, 0.71 for
+//! 4 and 0.58 for the six of double three-step; sqrt(2) sigma / B for 2+1, whose half level enters both sums. Every scheme ends
+//! in its finest burst, so that this noise times period / (2 pi) is the coordinate's: Gray code, multi-frequency, heterodyne
+//! and geometric constraints decide the fringe order only. The last has one long period, hence its noise.
 
 use super::mask::{MaskLimits, PixelMask, Rejection};
 use super::{LightError, Pattern};
@@ -14,7 +19,8 @@ use std::f32::consts::{FRAC_PI_2, PI};
 /// Largest error of [`atan2_rad`], radians.
 pub const ATAN2_ERROR_RAD: f32 = 4e-6;
 
-/// Four-quadrant arctangent in (-pi, pi], within [`ATAN2_ERROR_RAD`]; 0 for (0, 0). Branch-free, so that loops of it vectorize.
+/// Four-quadrant arctangent in (-pi, pi], within [`ATAN2_ERROR_RAD`] = 4e-6; 0 for (0, 0). Branch-free, so that loops of it
+/// vectorize.
 ///
 /// Odd polynomial of degree 11 on [0, 1], fitted to least maximum error.
 #[inline]
@@ -89,6 +95,11 @@ impl PhaseExtractor {
             levels: vec![1.0; evenly.len()],
             limits,
         })
+    }
+
+    /// Factors of every picture in the sums of phase shifting, sine and cosine: phi = -atan2(sine sum, cosine sum).
+    pub fn weights(&self) -> impl Iterator<Item = (f32, f32)> + '_ {
+        self.sines.iter().copied().zip(self.cosines.iter().copied())
     }
 
     /// Weights for pictures whose shifts do not divide the circle evenly; without a shift a picture shows the half level.
@@ -295,7 +306,9 @@ mod tests {
         let two_plus_one = PatternSequence::two_plus_one([64, 1], Direction::Columns, 16.0).patterns;
         let bursts = [3u32, 4, 5, 6, 8, 12].map(|steps| (burst(steps), (2.0 / f64::from(steps)).sqrt()));
         // The half level enters sine and cosine: variances 2 and covariance 1, on the mean of all phases sqrt(2).
-        for (burst, factor) in bursts.into_iter().chain([(two_plus_one, 2f64.sqrt())]) {
+        let double_three = PatternSequence::double_three_step([64, 1], Direction::Columns, 16.0).patterns;
+        let others = [(two_plus_one, 2f64.sqrt()), (double_three, (2.0 / 6.0f64).sqrt())];
+        for (burst, factor) in bursts.into_iter().chain(others) {
             let pictures: Vec<GreyPicture> = burst
                 .iter()
                 .map(|p| {

@@ -34,6 +34,16 @@ impl PatternSequence {
         Self::of(size_px, burst(period_px, steps, direction).collect())
     }
 
+    /// Two bursts of three sinusoids, the second 60 degrees after the first, after P. S. Huang, Q. J. Hu, F.-P. Chiang, "Double
+    /// three-step phase-shifting algorithm", Applied Optics 41(22), 2002: the error of three steps under a projector's gamma,
+    /// sin(3 phi), has opposite signs in both. Averaging their sums instead of their angles is the same to first order, and
+    /// makes the six one even burst with the noise of six steps.
+    pub fn double_three_step(size_px: [u32; 2], direction: Direction, period_px: f64) -> Self {
+        let three = |first_rad: f64| (0..3).map(move |n| first_rad + TAU * f64::from(n) / 3.0);
+        let shifts = three(0.0).chain(three(TAU / 6.0));
+        Self::of(size_px, shifts.map(|shift_rad| Pattern::sinusoid(period_px, shift_rad, direction)).collect())
+    }
+
     /// Two sinusoids a quarter period apart and the half level, after S. Zhang and S.-T. Yau, "High-speed three-dimensional
     /// shape measurement system using a modified two-plus-one phase-shifting algorithm", Optical Engineering 46(11), 2007.
     pub fn two_plus_one(size_px: [u32; 2], direction: Direction, period_px: f64) -> Self {
@@ -98,6 +108,7 @@ mod tests {
                 for sequence in [
                     PatternSequence::n_step(size_px, d, 18.0, 5),
                     PatternSequence::two_plus_one(size_px, d, 36.0),
+                    PatternSequence::double_three_step(size_px, d, 36.0),
                     PatternSequence::hierarchical(size_px, d, 16.0, 5.0, 3),
                     PatternSequence::heterodyne(size_px, d, 20.0, 4),
                     PatternSequence::gray_code(size_px, &[d]),

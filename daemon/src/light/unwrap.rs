@@ -16,7 +16,7 @@ pub const MAX_DISAGREEMENT: f32 = 0.4;
 const ROUNDER: f32 = 12_582_912.0;
 
 #[inline]
-fn round(x: f32) -> f32 {
+pub(super) fn round(x: f32) -> f32 {
     (x + ROUNDER) - ROUNDER
 }
 

@@ -1,12 +1,19 @@
 //! Frame set to scan: the stages of [`crate::light`] in order, on buffers kept between scans.
 
 use super::FrameSet;
+use crate::light::absolute::MeasuredPhases;
+use crate::light::gamma::BurstErrors;
 use crate::light::{
-    Calibration, GridMesher, LightError, Limits, PatternSequence, PhaseExtractor, PixelMask, PointGrid, RejectedPixels,
-    Triangulator, Unwrapper, WrappedPhase, grid_mesh,
+    AbsoluteDecoder, Calibration, DepthRange, Direction, GridMesher, Intersector, LightError, Limits, MotionCorrection,
+    MotionCorrector, PatternKind, PatternSequence, PhaseExtractor, PixelMask, PointGrid, Processing,
+    ProjectorCoordinates, RejectedPixels, Triangulator, Unwrap, Unwrapper, WrappedPhase, geometric, grid_mesh,
 };
 use gv3_codec::{GreyPicture, Scan};
 use std::ops::Range;
+
+/// Least share of the other direction's change over the working range that a direction coded alone must have: less is across
+/// the baseline and measures no depth.
+const MIN_SPAN: f64 = 0.2;
 
 /// A scan and what is missing from it.
 #[derive(Debug, Clone)]
@@ -17,23 +24,178 @@ pub struct Reconstruction {
     pub rejected: RejectedPixels,
 }
 
-/// Turns frame sets of a two-frequency sequence into scans.
+/// Turns frame sets into scans, whatever absolute scheme their sequence is of.
 #[derive(Debug, Clone)]
 pub struct Reconstructor {
     size_px: [u32; 2],
     pattern_count: usize,
+    white: Option<usize>,
+    decoding: Decoding,
+    motion: Option<MotionCorrector>,
+    points: Points,
+    mesher: GridMesher,
+    mask: PixelMask,
+    column_px: Vec<f32>,
+    grid: PointGrid,
+}
+
+/// How pictures become projector coordinates.
+#[derive(Debug, Clone)]
+enum Decoding {
+    /// Two bursts of sinusoids along columns: the kernel of the live default.
+    TwoFrequency(Box<TwoFrequency>),
+    /// One direction of any scheme.
+    Columns(Decoder),
+    Rows(Decoder),
+    /// Columns, and rows with their coordinates.
+    Both(Decoder, Decoder, Vec<f32>),
+}
+
+/// A decoder with its buffers.
+#[derive(Debug, Clone)]
+struct Decoder {
+    decoder: AbsoluteDecoder,
+    measured: MeasuredPhases,
+}
+
+#[derive(Debug, Clone)]
+struct TwoFrequency {
     low: Range<usize>,
     high: Range<usize>,
     low_extractor: PhaseExtractor,
     high_extractor: PhaseExtractor,
+    errors: Option<[BurstErrors; 2]>,
     unwrapper: Unwrapper,
-    triangulator: Triangulator,
-    mesher: GridMesher,
-    mask: PixelMask,
     low_phase: WrappedPhase,
     high_phase: WrappedPhase,
-    column_px: Vec<f32>,
-    grid: PointGrid,
+}
+
+/// How coordinates become points.
+#[derive(Debug, Clone)]
+enum Points {
+    Columns(Triangulator),
+    Any(Box<Intersector>),
+}
+
+impl TwoFrequency {
+    /// `None` when the sequence is of another kind.
+    fn new(
+        calibration: &Calibration,
+        sequence: &PatternSequence,
+        limits: &Limits,
+        processing: &Processing,
+    ) -> Result<Option<Self>, LightError> {
+        let Ok((low, high)) = sequence.low_and_high() else { return Ok(None) };
+        let Ok(unwrapper) = Unwrapper::new(calibration, sequence, limits.depth) else { return Ok(None) };
+        let pixels = calibration.camera.width_px as usize * calibration.camera.height_px as usize;
+        let [low_patterns, high_patterns] = [&low, &high].map(|burst| &sequence.patterns[burst.clone()]);
+        let errors = match &processing.gamma {
+            Some(t) => Some([t.of_burst(low_patterns)?.clone(), t.of_burst(high_patterns)?.clone()]),
+            None => None,
+        };
+        Ok(Some(Self {
+            low_extractor: PhaseExtractor::new(low_patterns, limits.mask)?,
+            high_extractor: PhaseExtractor::new(high_patterns, limits.mask)?,
+            errors,
+            unwrapper,
+            low_phase: WrappedPhase::new(pixels),
+            high_phase: WrappedPhase::new(pixels),
+            low,
+            high,
+        }))
+    }
+
+    fn decode(&mut self, pictures: &[&GreyPicture], mask: &mut PixelMask, column_px: &mut [f32]) {
+        self.low_extractor.extract(&pictures[self.low.clone()], mask, &mut self.low_phase);
+        self.high_extractor.extract(&pictures[self.high.clone()], mask, &mut self.high_phase);
+        if let Some([low, high]) = &self.errors {
+            low.correct(&mut self.low_phase.phase_rad);
+            high.correct(&mut self.high_phase.phase_rad);
+        }
+        mask.erode();
+        self.unwrapper.unwrap(&self.low_phase.phase_rad, &self.high_phase.phase_rad, mask, column_px);
+    }
+}
+
+impl Decoder {
+    fn measure(&mut self, pictures: &[&GreyPicture], mask: &mut PixelMask) {
+        self.decoder.measure_into(pictures, mask, &mut self.measured);
+    }
+
+    fn resolve(&self, pictures: &[&GreyPicture], mask: &mut PixelMask, out_px: &mut [f32]) {
+        self.decoder.resolve_into(pictures, &self.measured, mask, out_px);
+    }
+}
+
+impl Decoding {
+    fn new(
+        calibration: &Calibration,
+        sequence: &PatternSequence,
+        limits: &Limits,
+        processing: &Processing,
+    ) -> Result<Self, LightError> {
+        if processing.unwrap == Unwrap::Auto
+            && let Some(fast) = TwoFrequency::new(calibration, sequence, limits, processing)?
+        {
+            return Ok(Self::TwoFrequency(Box::new(fast)));
+        }
+        let pixels = calibration.camera.width_px as usize * calibration.camera.height_px as usize;
+        let decoder = |direction| -> Result<Option<Decoder>, LightError> {
+            let made = AbsoluteDecoder::with(calibration, sequence, direction, limits, processing)?;
+            Ok(made.map(|decoder| Decoder { measured: decoder.room(pixels), decoder }))
+        };
+        match (decoder(Direction::Columns)?, decoder(Direction::Rows)?) {
+            (Some(columns), Some(rows)) => Ok(Self::Both(columns, rows, vec![0.0; pixels])),
+            (Some(columns), None) => {
+                measures_depth(calibration, Direction::Columns, limits).map(|()| Self::Columns(columns))
+            }
+            (None, Some(rows)) => measures_depth(calibration, Direction::Rows, limits).map(|()| Self::Rows(rows)),
+            (None, None) => Err(LightError::field("sequence.patterns", "no pattern codes columns or rows")),
+        }
+    }
+
+    /// Coordinates of the first direction into `out_px`; of the second, where there are two, into the decoder's own buffer.
+    fn decode(&mut self, pictures: &[&GreyPicture], mask: &mut PixelMask, out_px: &mut [f32]) {
+        match self {
+            Self::TwoFrequency(two) => two.decode(pictures, mask, out_px),
+            Self::Columns(one) | Self::Rows(one) => {
+                one.measure(pictures, mask);
+                mask.erode();
+                one.resolve(pictures, mask, out_px);
+            }
+            Self::Both(columns, rows, row_px) => {
+                columns.measure(pictures, mask);
+                rows.measure(pictures, mask);
+                mask.erode();
+                columns.resolve(pictures, mask, out_px);
+                rows.resolve(pictures, mask, row_px);
+            }
+        }
+    }
+
+    fn coordinates<'a>(&'a self, first_px: &'a [f32]) -> ProjectorCoordinates<'a> {
+        match self {
+            Self::TwoFrequency(_) | Self::Columns(_) => ProjectorCoordinates::Columns(first_px),
+            Self::Rows(_) => ProjectorCoordinates::Rows(first_px),
+            Self::Both(_, _, row_px) => ProjectorCoordinates::Both(first_px, row_px),
+        }
+    }
+
+    /// Background of the finest fringes, grey levels; `None` without fringes.
+    fn background(&self) -> Option<&[f32]> {
+        match self {
+            Self::TwoFrequency(two) => Some(&two.high_phase.background),
+            Self::Columns(one) | Self::Rows(one) => one.measured.background(),
+            Self::Both(columns, rows, _) => columns.measured.background().or(rows.measured.background()),
+        }
+    }
+
+    fn valid_depth(&self) -> Option<DepthRange> {
+        match self {
+            Self::TwoFrequency(_) => None,
+            Self::Columns(one) | Self::Rows(one) | Self::Both(one, ..) => one.decoder.valid_depth(),
+        }
+    }
 }
 
 impl Reconstructor {
@@ -42,26 +204,48 @@ impl Reconstructor {
     /// # Errors
     /// [`LightError::Field`] naming what cannot work, or what does not fit together.
     pub fn new(calibration: &Calibration, sequence: &PatternSequence, limits: &Limits) -> Result<Self, LightError> {
-        limits.validate()?;
-        let (low, high) = sequence.low_and_high()?;
+        Self::with(calibration, sequence, limits, &Processing::default())
+    }
+
+    /// As [`Self::new`], with the rig's choices.
+    ///
+    /// # Errors
+    /// As [`Self::new`], and naming the choice that the sequence does not allow.
+    pub fn with(
+        calibration: &Calibration,
+        sequence: &PatternSequence,
+        limits: &Limits,
+        processing: &Processing,
+    ) -> Result<Self, LightError> {
+        super::check_rig(calibration, sequence, limits)?;
         let size_px = [calibration.camera.width_px, calibration.camera.height_px];
         let [width, height] = size_px.map(|n| n as usize);
+        let decoding = Decoding::new(calibration, sequence, limits, processing)?;
+        let is_columns = matches!(decoding, Decoding::TwoFrequency(_) | Decoding::Columns(_));
         Ok(Self {
             size_px,
             pattern_count: sequence.patterns.len(),
-            low_extractor: PhaseExtractor::new(&sequence.patterns[low.clone()], limits.mask)?,
-            high_extractor: PhaseExtractor::new(&sequence.patterns[high.clone()], limits.mask)?,
-            unwrapper: Unwrapper::new(calibration, sequence, limits.depth)?,
-            triangulator: Triangulator::new(calibration, limits.depth)?,
+            white: sequence.patterns.iter().position(|p| p.kind == PatternKind::White),
+            motion: match processing.motion {
+                MotionCorrection::PhaseRate => Some(motion_corrector([width, height], sequence, &decoding)?),
+                MotionCorrection::None => None,
+            },
+            decoding,
+            points: match is_columns {
+                true => Points::Columns(Triangulator::new(calibration, limits.depth)?),
+                false => Points::Any(Box::new(Intersector::new(calibration, limits.depth)?)),
+            },
             mesher: GridMesher::new(limits.mesh)?,
             mask: PixelMask::new(width, height),
-            low_phase: WrappedPhase::new(width * height),
-            high_phase: WrappedPhase::new(width * height),
             column_px: vec![0.0; width * height],
             grid: PointGrid::new(width, height),
-            low,
-            high,
         })
+    }
+
+    /// Depths between which every pixel gets its fringe order, when it is the working range that gives it to a sequence of one
+    /// frequency; a surface outside comes out in a wrong place.
+    pub fn valid_depth(&self) -> Option<DepthRange> {
+        self.decoding.valid_depth()
     }
 
     /// The scan of a frame set.
@@ -72,16 +256,30 @@ impl Reconstructor {
         let pictures: Vec<&GreyPicture> = set.frames.iter().map(|f| &f.picture).collect();
         self.check_pictures(&pictures)?;
         self.mask.clear();
-        self.low_extractor.extract(&pictures[self.low.clone()], &mut self.mask, &mut self.low_phase);
-        self.high_extractor.extract(&pictures[self.high.clone()], &mut self.mask, &mut self.high_phase);
-        self.mask.erode();
-        let (low, high) = (&self.low_phase.phase_rad, &self.high_phase.phase_rad);
-        self.unwrapper.unwrap(low, high, &mut self.mask, &mut self.column_px);
-        self.triangulator.triangulate(&self.column_px, &mut self.mask, &mut self.grid);
+        self.decoding.decode(&pictures, &mut self.mask, &mut self.column_px);
+        if let Some(motion) = &mut self.motion {
+            motion.correct(set.tick, &self.mask, &mut self.column_px);
+        }
+        match &self.points {
+            Points::Columns(triangulator) => {
+                triangulator.triangulate(&self.column_px, &mut self.mask, &mut self.grid);
+            }
+            Points::Any(intersector) => {
+                intersector.intersect(self.decoding.coordinates(&self.column_px), &mut self.mask, &mut self.grid);
+            }
+        }
         let mesh = self.mesher.mesh(&self.grid, &mut self.mask);
-        let texture = grid_mesh::texture(self.size_px[0], self.size_px[1], &self.high_phase.background);
-        let scan = Scan { tick: set.tick, time_nanos: set.time_nanos, mesh, texture: Some(texture) };
+        let texture = Some(self.texture(&pictures));
+        let scan = Scan { tick: set.tick, time_nanos: set.time_nanos, mesh, texture };
         Ok(Reconstruction { scan, rejected: self.mask.count() })
+    }
+
+    /// The background of the finest fringes, else the white picture, else the first.
+    fn texture(&self, pictures: &[&GreyPicture]) -> GreyPicture {
+        match (self.decoding.background(), self.white) {
+            (Some(background), _) => grid_mesh::texture(self.size_px[0], self.size_px[1], background),
+            (None, white) => pictures[white.unwrap_or(0)].clone(),
+        }
     }
 
     fn check_pictures(&self, pictures: &[&GreyPicture]) -> Result<(), LightError> {
@@ -101,6 +299,39 @@ impl Reconstructor {
             None => Ok(()),
         }
     }
+}
+
+/// Refuses a direction, coded alone, that hardly changes with depth.
+fn measures_depth(calibration: &Calibration, direction: Direction, limits: &Limits) -> Result<(), LightError> {
+    let span_px = |direction| geometric::widest_span_px(calibration, direction, limits.depth);
+    let other = if direction == Direction::Columns { Direction::Rows } else { Direction::Columns };
+    let (here_px, there_px) = (span_px(direction)?, span_px(other)?);
+    if here_px >= MIN_SPAN * there_px {
+        return Ok(());
+    }
+    let reason = format!(
+        "code {direction:?} alone, which on this rig change by {here_px:.0} px over the working range where {other:?} change by \
+         {there_px:.0} px; code {other:?}"
+    );
+    Err(LightError::field("sequence.patterns", reason))
+}
+
+/// A corrector for the burst that ends the columns' chain.
+fn motion_corrector(
+    size_px: [usize; 2],
+    sequence: &PatternSequence,
+    decoding: &Decoding,
+) -> Result<MotionCorrector, LightError> {
+    let burst = match decoding {
+        Decoding::TwoFrequency(two) => Some(two.high.clone()),
+        Decoding::Columns(one) | Decoding::Rows(one) => one.decoder.bursts().last(),
+        Decoding::Both(..) => None,
+    };
+    let Some(burst) = burst else {
+        let reason = "phase_rate needs fringes along one direction; leave the key out for this sequence";
+        return Err(LightError::field("processing.motion", reason));
+    };
+    MotionCorrector::new(size_px, &sequence.patterns[burst], sequence.patterns.len())
 }
 
 #[cfg(test)]
@@ -187,6 +418,23 @@ mod tests {
         let scan = reconstructor.reconstruct(&sets[1]).unwrap().scan;
         assert_eq!((scan.tick, scan.time_nanos), (4, 28 * 5_555_556));
         assert!(distance_to_truth(&scan, &mut SimWorld::new(&config).unwrap()).0 < 0.15);
+    }
+
+    #[test]
+    fn dark_and_clipped_sets_give_no_surface_and_say_why() {
+        let (sets, mut reconstructor, _) = run(&RigConfig::simulated(), 6);
+        let mut filled = |level: u8| {
+            let mut set = sets[0].clone();
+            set.frames.iter_mut().for_each(|f| f.picture.pixels.fill(level));
+            let Reconstruction { scan, rejected } = reconstructor.reconstruct(&set).unwrap();
+            assert_eq!(scan.mesh.vertex_count(), 0);
+            rejected
+        };
+        assert_eq!((filled(0).low_modulation, filled(255).saturated), (640 * 480, 640 * 480));
+        let mut short = sets[0].clone();
+        short.frames.pop();
+        let error = reconstructor.reconstruct(&short).unwrap_err().to_string();
+        assert_eq!(error, "frames: 5, but the sequence has 6 patterns");
     }
 
     #[test]

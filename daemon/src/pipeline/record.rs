@@ -1,8 +1,8 @@
 //! A recording: capture, reconstruct, encode and write, each in a named thread, joined by bounded queues.
 
-use super::{DropCounts, FrameSet, FrameSetAssembler, Reconstructor};
+use super::{DropCounts, FrameSet, FrameSetAssembler, Reconstruction, Reconstructor};
 use crate::device::{DeviceError, Rig};
-use crate::light::{LightError, RejectedPixels};
+use crate::light::{DepthRange, LightError, RejectedPixels};
 use gv3_codec::seed::{EncodedGroup, Encoder, EncoderConfig};
 use gv3_codec::{CodecError, Scan};
 use gv3_protocol::session::{
@@ -39,6 +39,9 @@ pub enum RecordError {
     /// The session could not be written.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// The raw recording could not be begun.
+    #[error(transparent)]
+    Raw(#[from] gv3_protocol::raw::RawError),
     /// The caller's observer failed.
     #[error("{0}")]
     Observer(String),
@@ -88,9 +91,19 @@ pub struct Recorded {
 }
 
 /// What travels down the queues.
-enum Item<T> {
+pub(super) enum Item<T> {
     Work(T),
     Event(Event),
+}
+
+/// What capture sends: frame sets, and what happened between them.
+pub(super) type CaptureItem = Item<FrameSet>;
+
+impl CaptureItem {
+    /// Whether it is a frame set.
+    pub(super) fn is_set(&self) -> bool {
+        matches!(self, Self::Work(_))
+    }
 }
 
 /// Records until the wanted length, the stop flag, or an error; the session is finished in every case where the file can
@@ -103,7 +116,10 @@ pub async fn record(
     settings: RecordSettings,
     mut writer: SessionWriter<SessionFile>,
 ) -> Result<Recorded, RecordError> {
-    let reconstructor = Reconstructor::new(&rig.calibration, &rig.sequence, &rig.limits)?;
+    let reconstructor = Reconstructor::with(&rig.calibration, &rig.sequence, &rig.limits, &rig.processing)?;
+    if let Some(DepthRange { near_mm, far_mm }) = reconstructor.valid_depth() {
+        info!("one frequency: fringe orders are right from {near_mm:.0} to {far_mm:.0} mm");
+    }
     let encoder = Encoder::new(settings.encoder)?;
     writer.write_stream(&encoder.header().encode())?;
     let (set_out, sets) = channel(QUEUE);
@@ -156,7 +172,7 @@ fn stopping<T>(stop: &AtomicBool, work: impl FnOnce() -> Result<T, RecordError>)
     work().inspect_err(|_| stop.store(true, Ordering::Relaxed))
 }
 
-fn capture(
+pub(super) fn capture(
     mut rig: Rig,
     periods: Option<u64>,
     stop: &AtomicBool,
@@ -190,6 +206,9 @@ fn collect(
     let set_nanos = rig.timing.set_period_nanos(rig.sequence.patterns.len());
     let mut assembler = FrameSetAssembler::new(&rig.sequence, &rig.timing);
     let (mut frame_bytes, mut timeouts, mut start_nanos, mut last_tick) = (0, 0, None, None);
+    let is_over = |nanos: u64| {
+        periods.is_some_and(|p| nanos + rig.timing.picture_period_nanos / 2 >= p.saturating_mul(set_nanos))
+    };
     while !stop.load(Ordering::Relaxed) {
         let frame = match rig.camera.next_frame(Instant::now() + PICTURE_DEADLINE) {
             Ok(frame) => frame,
@@ -201,12 +220,16 @@ fn collect(
                 }
                 continue;
             }
+            Err(DeviceError::Ended(device)) => {
+                info!(device, "end of the pictures");
+                break;
+            }
             Err(error) => return Err(error.into()),
         };
         timeouts = 0;
         let time_nanos = frame.device_time_nanos;
         let elapsed = time_nanos.saturating_sub(*start_nanos.get_or_insert(time_nanos));
-        if periods.is_some_and(|p| elapsed + rig.timing.picture_period_nanos / 2 >= p.saturating_mul(set_nanos)) {
+        if is_over(elapsed) {
             break;
         }
         frame_bytes += frame.picture.pixels.len() as u64;
@@ -222,6 +245,10 @@ fn collect(
             }
             last_tick = Some(set.tick);
             send(out, Item::Work(set))?;
+        }
+        // Without waiting for a picture that is not wanted.
+        if is_over(elapsed.saturating_add(rig.timing.picture_period_nanos)) {
+            break;
         }
     }
     Ok((assembler.finish(), frame_bytes))
@@ -257,6 +284,15 @@ fn gap_event(last_tick: Option<u64>, set: &FrameSet) -> Option<Event> {
     Some(Event { time_nanos: set.time_nanos, tick: first_missing, kind: EventKind::Gap { ticks } })
 }
 
+/// Says of a scan without a surface what rejected most of its pixels: `empty_scan_low_modulation` when all was dark.
+fn empty_event(result: &Reconstruction) -> Option<Event> {
+    let Scan { tick, time_nanos, mesh, .. } = &result.scan;
+    let (cause, pixels) = result.rejected.main_cause().filter(|_| mesh.triangles.is_empty())?;
+    warn!(tick, cause, pixels, "empty scan");
+    let kind = EventKind::Drop { cause: format!("empty_scan_{cause}"), count: 1 };
+    Some(Event { time_nanos: *time_nanos, tick: *tick, kind })
+}
+
 #[derive(Default)]
 struct Rebuilt {
     sets: u64,
@@ -279,6 +315,9 @@ fn run_reconstruct(
                 rebuilt.time += begin.elapsed();
                 rebuilt.sets += 1;
                 rebuilt.rejected += result.rejected;
+                if let Some(event) = empty_event(&result) {
+                    send(out, Item::Event(event))?;
+                }
                 Item::Work(result.scan)
             }
         };
@@ -416,4 +455,32 @@ fn statistics(recorded: &Recorded) -> MetadataGroup {
         .with(key::KEYFRAMES, recorded.keyframes)
         .with(key::ENCODE_MS_PER_SCAN, format!("{:.3}", recorded.encode_ms_per_scan))
         .with(key::RAW_FRINGE_BYTES, recorded.raw_fringe_bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{Frame, PatternIndex, RigConfig};
+    use gv3_codec::GreyPicture;
+
+    #[test]
+    fn a_set_all_dark_or_clipped_is_an_event_by_its_cause() {
+        let config = RigConfig::simulated();
+        let calibration = config.calibration().unwrap();
+        let mut reconstructor = Reconstructor::new(&calibration, &config.sequence, &config.limits).unwrap();
+        for (level, cause) in [(0, "empty_scan_low_modulation"), (255, "empty_scan_saturated")] {
+            let frame = |n: u16| Frame {
+                sequence: u64::from(n),
+                pattern: PatternIndex(n),
+                device_time_nanos: 0,
+                host_time_nanos: 0,
+                exposure_nanos: 0,
+                picture: GreyPicture::filled(640, 480, level),
+            };
+            let set = FrameSet { tick: 7, time_nanos: 9, frames: (0..6).map(frame).collect() };
+            let event = empty_event(&reconstructor.reconstruct(&set).unwrap()).unwrap();
+            let kind = EventKind::Drop { cause: cause.into(), count: 1 };
+            assert_eq!(event, Event { time_nanos: 9, tick: 7, kind });
+        }
+    }
 }

@@ -1,9 +1,11 @@
 //! One scan from the pictures of any pattern sequence; where the live [`super::Reconstructor`] is fast, this is general.
 
 use super::Reconstruction;
+use crate::light::gamma::{BoardFigures, BoardPhase};
 use crate::light::{
-    AbsoluteDecoder, Calibration, Direction, GridMesher, LightError, Limits, MaskLimits, Pattern, PatternKind,
-    PatternSequence, PixelMask, PointGrid, ProjectorCoordinates, grid_mesh, intersect,
+    AbsoluteDecoder, Calibration, Direction, GammaTable, GridMesher, LightError, Limits, MaskLimits, MotionCorrection,
+    Pattern, PatternKind, PatternSequence, PixelMask, PointGrid, Processing, ProjectorCoordinates, grid_mesh,
+    intersect,
 };
 use gv3_codec::{GreyPicture, Scan};
 
@@ -23,23 +25,59 @@ impl StillReconstructor {
     /// # Errors
     /// [`LightError::Field`] naming what does not.
     pub fn new(calibration: &Calibration, sequence: &PatternSequence, limits: &Limits) -> Result<Self, LightError> {
-        calibration.validate()?;
-        sequence.validate()?;
-        limits.validate()?;
-        let [width, height] = [calibration.projector.width_px, calibration.projector.height_px];
-        if [sequence.width_px, sequence.height_px] != [width, height] {
-            let reason = format!(
-                "{} x {}, but the calibration's projector has {width} x {height}",
-                sequence.width_px, sequence.height_px
-            );
-            return Err(LightError::field("sequence.width_px", reason));
+        Self::with(calibration, sequence, limits, &Processing::default())
+    }
+
+    /// As [`Self::new`], with other choices than the default.
+    ///
+    /// # Errors
+    /// As [`Self::new`], and naming the choice that cannot work.
+    pub fn with(
+        calibration: &Calibration,
+        sequence: &PatternSequence,
+        limits: &Limits,
+        processing: &Processing,
+    ) -> Result<Self, LightError> {
+        super::check_rig(calibration, sequence, limits)?;
+        if processing.motion != MotionCorrection::None {
+            let reason = "a single scan has no frame set before it to see motion with; leave the key out";
+            return Err(LightError::field("processing.motion", reason));
         }
-        let decoder = |d| AbsoluteDecoder::new(calibration, sequence, d, limits.mask, limits.depth);
+        let decoder = |d| AbsoluteDecoder::with(calibration, sequence, d, limits, processing);
         let (columns, rows) = (decoder(Direction::Columns)?, decoder(Direction::Rows)?);
         if columns.is_none() && rows.is_none() {
             return Err(LightError::field("sequence.patterns", "no pattern codes columns or rows"));
         }
         Ok(Self { calibration: *calibration, sequence: sequence.clone(), limits: *limits, columns, rows })
+    }
+
+    /// Phase errors of the projector's response from pictures of a flat board, for every burst.
+    ///
+    /// # Errors
+    /// As [`Self::reconstruct`] and [`GammaTable::measure`].
+    pub fn measure_gamma(&self, pictures: &[GreyPicture]) -> Result<(GammaTable, BoardFigures), LightError> {
+        self.check_pictures(pictures)?;
+        let refs: Vec<&GreyPicture> = pictures.iter().collect();
+        let camera = &self.calibration.camera;
+        let (mut whole, mut first) = (GammaTable::default(), None);
+        for decoder in [&self.columns, &self.rows].into_iter().flatten().filter(|d| d.bursts().next().is_some()) {
+            let mut mask = PixelMask::new(camera.width_px as usize, camera.height_px as usize);
+            let measured = decoder.measure(&refs, &mut mask);
+            mask.erode();
+            let mut coordinate_px = vec![0.0; mask.verdicts.len()];
+            decoder.resolve_into(&refs, &measured, &mut mask, &mut coordinate_px);
+            let bursts: Vec<BoardPhase<'_>> = decoder
+                .bursts()
+                .zip(measured.bursts())
+                .map(|(b, p)| BoardPhase { patterns: &self.sequence.patterns[b], phase_rad: &p.phase_rad })
+                .collect();
+            let (table, figures) = GammaTable::measure(&bursts, &coordinate_px, &mask)?;
+            whole.bursts.extend(table.bursts);
+            first = first.or(Some(figures));
+        }
+        let figures =
+            first.ok_or_else(|| LightError::field("sequence.patterns", "no fringes, so no gamma to measure"))?;
+        Ok((whole, figures))
     }
 
     /// The scan, at tick 0.
@@ -135,7 +173,7 @@ fn check_levels(picture: &GreyPicture, pattern: &Pattern, limits: MaskLimits) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::{Distortion, Intrinsics, Rigid};
+    use crate::light::{Distortion, Intrinsics, Rigid, Unwrap};
     use glam::{DMat3, DVec2, DVec3};
 
     fn rig() -> Calibration {
@@ -201,6 +239,27 @@ mod tests {
             let rms_mm = (sum / scan.mesh.vertex_count() as f64).sqrt();
             assert!(rms_mm < bound_mm, "{} pictures: {rms_mm} mm", sequence.patterns.len());
         }
+    }
+
+    #[test]
+    fn one_burst_is_placed_by_a_narrow_range_or_left_out_by_name() {
+        let sequence = PatternSequence::n_step([320, 240], Direction::Columns, 16.0, 4);
+        let processing = Processing { unwrap: Unwrap::Spatial, ..Processing::default() };
+        let scan = |near_mm: f64, far_mm: f64| {
+            let mut limits = limits();
+            (limits.depth.near_mm, limits.depth.far_mm) = (near_mm, far_mm);
+            let reconstructor = StillReconstructor::with(&rig(), &sequence, &limits, &processing).unwrap();
+            reconstructor.reconstruct(&pictures(&sequence)).unwrap()
+        };
+        // A period is 80 mm of depth, so that the plane's 60 mm fit into 90 mm one way only, and into 500 mm six ways.
+        let Reconstruction { scan: placed, rejected } = scan(555.0, 645.0);
+        assert!(placed.mesh.vertex_count() > 9_000, "{} vertices, {rejected:?}", placed.mesh.vertex_count());
+        assert_eq!(placed.mesh.vertex_count() as u64 + rejected.total(), 160 * 120);
+        let worst = placed.mesh.positions_mm.iter().map(|p| (-p.z - 600.0 - 0.2 * p.x).abs()).fold(0.0, f32::max);
+        assert!(worst < 1.0, "{worst} mm");
+        let Reconstruction { scan: unplaced, rejected } = scan(400.0, 900.0);
+        assert_eq!(unplaced.mesh.vertex_count(), 0);
+        assert!(rejected.unanchored > 9_000, "{rejected:?}");
     }
 
     #[test]

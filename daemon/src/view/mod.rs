@@ -1,7 +1,10 @@
 //! Pictures of meshes, side-by-side comparisons and plots of errors, drawn in software.
 
+pub mod checkerboard;
 pub mod colour_map;
 pub mod compare;
+pub mod maps;
 pub mod plot;
 pub mod render;
+pub mod residuals;
 mod text;

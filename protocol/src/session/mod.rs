@@ -30,7 +30,7 @@
 //! claims (up to 4 GiB) before reading it, and slice short attachment records without a check. The few records a
 //! session needs are parsed here, with their offsets, limits first.
 
-mod bytes;
+pub(crate) mod bytes;
 mod chunk;
 pub mod envelope;
 mod error;

@@ -28,6 +28,7 @@ impl Camera for SimCamera {
             width_px,
             height_px,
             min_period_nanos: 5_000_000,
+            waits_for_reader: true,
         }
     }
 
@@ -54,6 +55,7 @@ impl Camera for SimCamera {
             return Err(DeviceError::State("the camera is started before it is configured"));
         }
         self.is_running = true;
+        self.world.lock().unwrap_or_else(PoisonError::into_inner).is_unplugged = false;
         Ok(())
     }
 
@@ -62,11 +64,11 @@ impl Camera for SimCamera {
             return Err(DeviceError::State("a frame is asked of a camera that is not started"));
         };
         let mut world = self.world.lock().unwrap_or_else(PoisonError::into_inner);
+        if world.is_unplugged {
+            return Err(DeviceError::Disconnected("the simulated camera".into()));
+        }
         match settings.trigger {
-            // Without triggers virtual time stands still, so waiting for the deadline could change nothing.
-            TriggerSource::Projector => world
-                .next_triggered_frame(settings.exposure_nanos)
-                .ok_or_else(|| DeviceError::Timeout("the projector plays nothing, so no trigger comes".into())),
+            TriggerSource::Projector => world.next_triggered_frame(settings.exposure_nanos),
             TriggerSource::Internal { period_nanos } => {
                 Ok(world.next_internal_frame(period_nanos, settings.exposure_nanos))
             }

@@ -27,14 +27,24 @@ pub fn smoothstep(from: f32, to: f32, x: f32) -> f32 {
     s * s * (3.0 - 2.0 * s)
 }
 
+/// The square.
+pub fn squared(x: f32) -> f32 {
+    x * x
+}
+
+/// Gaussian of height 1 and deviation 1, the same on every machine.
+pub fn gauss(x: f32) -> f32 {
+    libm::expf(-0.5 * x * x)
+}
+
 /// Elliptic Gaussian of height 1.
 pub fn bump(x: f32, y: f32, centre: [f32; 2], sigma: [f32; 2]) -> f32 {
-    (-0.5 * (((x - centre[0]) / sigma[0]).powi(2) + ((y - centre[1]) / sigma[1]).powi(2))).exp()
+    libm::expf(-0.5 * (squared((x - centre[0]) / sigma[0]) + squared((y - centre[1]) / sigma[1])))
 }
 
 /// Lower and upper edge of the open eye at `dx` from its centre, mm.
 pub fn lid_edges(dx: f32) -> [f32; 2] {
-    let arc = (1.0 - (dx / 14.0).powi(2)).max(0.0);
+    let arc = (1.0 - squared(dx / 14.0)).max(0.0);
     [EYE_Y_MM - 4.0 * arc, EYE_Y_MM + 5.5 * arc]
 }
 
@@ -47,14 +57,14 @@ pub fn inside_eye(x: f32, y: f32) -> f32 {
 
 /// Height of the line between the lips at rest: the corners a little lower than the middle.
 pub fn mouth_line_mm(x: f32) -> f32 {
-    MOUTH_Y_MM + 1.2 * (-0.5 * (x / 9.0).powi(2)).exp() - 0.5 * (-0.5 * (x / 3.0).powi(2)).exp()
+    MOUTH_Y_MM + 1.2 * gauss(x / 9.0) - 0.5 * gauss(x / 3.0)
 }
 
 /// Half the width of the visible face at height `y`, mm.
 fn half_width_mm(y: f32) -> f32 {
     let q = ((y - 8.0) / if y > 8.0 { 113.5 } else { 125.0 }).abs();
     let power = if y > 8.0 { 2.5 } else { 2.2 };
-    87.0 * (1.0 - q.powf(power)).max(0.0).powf(1.0 / 2.2) * (1.0 - 0.16 * smoothstep(-10.0, -90.0, y))
+    87.0 * libm::powf((1.0 - libm::powf(q, power)).max(0.0), 1.0 / 2.2) * (1.0 - 0.16 * smoothstep(-10.0, -90.0, y))
 }
 
 /// Larger of two numbers, rounded off over a width of about 2 mm.
@@ -65,17 +75,17 @@ fn soft_max(a: f32, b: f32) -> f32 {
 /// Depth of the face at rest, mm; with lids down where `eyes_open` is false.
 fn depth_mm(x: f32, y: f32, eyes_open: bool) -> f32 {
     let ax = x.abs();
-    let q = (ax / 106.0).powf(2.4) + ((y - 10.0) / if y > 10.0 { 150.0 } else { 168.0 }).abs().powf(2.4);
-    let mut z = 85.0 * ((1.0 - q).max(0.0).powf(1.0 / 2.4) - 1.0);
+    let q = libm::powf(ax / 106.0, 2.4) + libm::powf(((y - 10.0) / if y > 10.0 { 150.0 } else { 168.0 }).abs(), 2.4);
+    let mut z = 85.0 * (libm::powf((1.0 - q).max(0.0), 1.0 / 2.4) - 1.0);
     let at = |cx: f32, cy: f32, sx: f32, sy: f32| bump(ax, y, [cx, cy], [sx, sy]);
-    z += 5.0 * (-0.5 * ((y - 45.0 + 0.004 * x * x) / 8.5).powi(2)).exp() * smoothstep(72.0, 30.0, ax);
+    z += 5.0 * gauss((y - 45.0 + 0.004 * x * x) / 8.5) * smoothstep(72.0, 30.0, ax);
     z += 4.0 * at(0.0, 82.0, 45.0, 25.0) - 4.0 * at(80.0, 45.0, 14.0, 28.0);
     z -= 10.0 * at(EYE_X_MM, EYE_Y_MM + 1.0, 15.0, 10.5) + 5.0 * at(13.0, EYE_Y_MM + 3.0, 6.0, 9.0);
     z += 5.0 * at(47.0, -8.0, 19.0, 20.0) - 3.0 * at(52.0, -52.0, 15.0, 20.0);
     z += nose_mm(x, y) + mouth_mm(x, y);
     let fold = (ax - 18.0) / 15.0;
     let fold_y = -24.0 - 26.0 * fold;
-    z -= 1.3 * (-0.5 * ((y - fold_y) / 4.5).powi(2)).exp() * smoothstep(-0.2, 0.3, fold) * smoothstep(1.3, 0.7, fold);
+    z -= 1.3 * gauss((y - fold_y) / 4.5) * smoothstep(-0.2, 0.3, fold) * smoothstep(1.3, 0.7, fold);
     z += 11.0 * at(0.0, -89.0, 17.0, 13.0);
     with_eyeball(ax, y, z, eyes_open)
 }
@@ -84,7 +94,7 @@ fn nose_mm(x: f32, y: f32) -> f32 {
     let ax = x.abs();
     let along = ((36.0 - y) / 52.0).clamp(0.0, 1.0);
     let width = 6.5 + 4.0 * along;
-    let ridge = 21.0 * along.powf(1.15) * smoothstep(-33.0, -15.0, y) * (-0.5 * (x / width).powi(2)).exp();
+    let ridge = 21.0 * libm::powf(along, 1.15) * smoothstep(-33.0, -15.0, y) * gauss(x / width);
     let tip = 5.0 * bump(x, y, [0.0, -15.0], [8.5, 8.0]);
     let wings = 8.0 * bump(ax, y, [12.5, -20.0], [5.0, 6.5]);
     let nostrils = 3.0 * bump(ax, y, [6.5, -28.0], [3.0, 2.4]);
@@ -94,7 +104,7 @@ fn nose_mm(x: f32, y: f32) -> f32 {
 fn mouth_mm(x: f32, y: f32) -> f32 {
     let ax = x.abs();
     let from_line = y - mouth_line_mm(x);
-    let lip = |height: f32, sigma: f32| (-0.5 * ((from_line - height) / sigma).powi(2)).exp();
+    let lip = |height: f32, sigma: f32| gauss((from_line - height) / sigma);
     let upper_height = 5.2 - 0.8 * bump(x, 0.0, [0.0, 0.0], [3.0, 1.0]);
     let upper = 4.6 * lip(upper_height, 3.0) * smoothstep(28.0, 12.0, ax);
     let lower = 5.8 * lip(-6.0, 3.8) * smoothstep(25.0, 10.0, ax);
@@ -106,7 +116,7 @@ fn mouth_mm(x: f32, y: f32) -> f32 {
 }
 
 fn with_eyeball(ax: f32, y: f32, z: f32, eyes_open: bool) -> f32 {
-    let r2 = (ax - EYE_X_MM).powi(2) + (y - EYE_Y_MM).powi(2);
+    let r2 = squared(ax - EYE_X_MM) + squared(y - EYE_Y_MM);
     // Beside the ball a cone falls away, so that the larger of the two stays the face.
     let front = |radius: f32| {
         let rest = radius * radius - r2;
@@ -194,8 +204,8 @@ impl Face {
     pub fn pose(&self, posture: &Posture, out: &mut Vec<Vec3>) {
         out.clear();
         out.extend_from_slice(&self.rest_mm);
-        self.jaw_sine.add(posture.jaw_rad.sin(), out);
-        self.jaw_versine.add(1.0 - posture.jaw_rad.cos(), out);
+        self.jaw_sine.add(libm::sinf(posture.jaw_rad), out);
+        self.jaw_versine.add(1.0 - libm::cosf(posture.jaw_rad), out);
         self.mouth_pocket.add(130.0 * posture.jaw_rad, out);
         self.smile.add(posture.smile, out);
         self.pucker.add(posture.pucker, out);
@@ -218,7 +228,7 @@ fn row_heights_mm() -> Vec<f32> {
     let mut y = TOP_MM;
     while y > BOTTOM_MM {
         heights.push(y);
-        let at = |centre: f32, sigma: f32| (-0.5 * ((y - centre) / sigma).powi(2)).exp();
+        let at = |centre: f32, sigma: f32| gauss((y - centre) / sigma);
         y -= 0.95 * (1.0 - 0.62 * at(MOUTH_Y_MM, 3.5) - 0.35 * at(EYE_Y_MM, 7.0));
     }
     heights
@@ -262,7 +272,7 @@ fn blink_shift(p: Vec3) -> Vec3 {
     } else if p.y < high {
         0.93 * (p.y - low)
     } else {
-        open * (1.0 - above).powi(2) * (1.0 + 2.0 * above)
+        open * squared(1.0 - above) * (1.0 + 2.0 * above)
     };
     let closed = depth_mm(p.x, p.y - drop, false);
     let near_eye = (p.x.abs() - EYE_X_MM).abs() < 14.5 && drop > 0.0;

@@ -3,14 +3,18 @@
 //! The camera renders what the projector shows at the instant of the exposure, so a late trigger gives a wrong picture, as in
 //! life. Nothing sleeps: the clock moves from exposure to exposure. Same configuration, same bytes.
 
+mod board;
 mod camera;
 mod face;
+mod lens;
 mod motion;
 mod noise;
 mod projector;
 mod raster;
 mod render;
 mod scene;
+mod sequence;
+mod shown;
 mod skin;
 
 use super::{DeviceError, Frame, PatternIndex, RigConfig, SequenceTiming};
@@ -18,15 +22,19 @@ use crate::light::PatternSequence;
 use glam::Vec3;
 use gv3_codec::{GreyPicture, mesh::TriMesh};
 use motion::Posture;
-use render::{Renderer, ShownPattern};
+use render::Renderer;
 use scene::Scene;
+use sequence::{Place, Sequence};
 use serde::{Deserialize, Serialize};
+use shown::ShownPattern;
 use skin::Skin;
 use std::collections::VecDeque;
 
+pub use board::BoardScene;
 pub use camera::SimCamera;
 pub use projector::SimProjector;
-pub use scene::SceneConfig;
+pub use scene::{Placement, SceneConfig};
+pub use sequence::SequenceScene;
 
 /// How a picture goes wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -38,6 +46,12 @@ pub enum FaultKind {
     Doubled,
     /// It is exposed six tenths of a period too late, when the next pattern is shown.
     Late,
+    /// It is exposed eight times as long as it says, and saturates.
+    Saturated,
+    /// Its transfer stalls: the camera times out once, and then delivers it.
+    Stalled,
+    /// The camera is unplugged when it should deliver it, and is gone until it is started again.
+    Unplugged,
 }
 
 /// One wrong picture.
@@ -109,11 +123,20 @@ pub struct SimConfig {
     pub defocus_sigma_px: f32,
     /// What stands before the scanner.
     pub scene: SceneConfig,
+    /// Where a solid stands; the head has its own place.
+    pub placement: Placement,
     /// Dark and shiny parts of the surface.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub regions: Vec<Region>,
+    /// How much faster than the world's the camera's clock runs, parts in a million.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub clock_drift_ppm: f32,
     /// Pictures that go wrong.
     pub faults: Vec<Fault>,
+}
+
+fn is_zero(value: &f32) -> bool {
+    *value == 0.0
 }
 
 impl Default for SimConfig {
@@ -129,7 +152,9 @@ impl Default for SimConfig {
             projector_gamma: 1.0,
             defocus_sigma_px: 0.0,
             scene: SceneConfig::Head,
+            placement: Placement::default(),
             regions: Vec::new(),
+            clock_drift_ppm: 0.0,
             faults: Vec::new(),
         }
     }
@@ -149,9 +174,16 @@ impl SimConfig {
             ("sim.velocity_mm_s[0]", self.velocity_mm_s[0], -1e4, 1e4),
             ("sim.velocity_mm_s[1]", self.velocity_mm_s[1], -1e4, 1e4),
             ("sim.velocity_mm_s[2]", self.velocity_mm_s[2], -1e4, 1e4),
+            ("sim.placement.offset_mm[0]", self.placement.offset_mm[0], -1e3, 1e3),
+            ("sim.placement.offset_mm[1]", self.placement.offset_mm[1], -1e3, 1e3),
+            ("sim.placement.offset_mm[2]", self.placement.offset_mm[2], -1e3, 550.0),
+            ("sim.placement.turn_deg[0]", self.placement.turn_deg[0], -360.0, 360.0),
+            ("sim.placement.turn_deg[1]", self.placement.turn_deg[1], -360.0, 360.0),
+            ("sim.placement.turn_deg[2]", self.placement.turn_deg[2], -360.0, 360.0),
             ("sim.motion_samples", self.motion_samples as f32, 1.0, MAX_MOTION_SAMPLES as f32),
             ("sim.projector_gamma", self.projector_gamma, 0.1, 10.0),
             ("sim.defocus_sigma_px", self.defocus_sigma_px, 0.0, 100.0),
+            ("sim.clock_drift_ppm", self.clock_drift_ppm, -1000.0, 1000.0),
         ];
         for (field, value, low, high) in ranges {
             if !(low..=high).contains(&value) {
@@ -185,21 +217,34 @@ enum Shown {
     Playing { timing: SequenceTiming, start_nanos: u64 },
 }
 
+/// Where everything is at one time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Instant {
+    posture: Posture,
+    shift_mm: Vec3,
+    place: Place,
+}
+
 /// The world: a scene, a rig and a clock.
 pub struct SimWorld {
     config: SimConfig,
+    /// What stands there; of a sequence, what stood there when the renderer last looked.
     scene: Scene,
+    sequence: Option<Sequence>,
     skin: Skin,
     renderer: Renderer,
     posed_mm: Vec<Vec3>,
+    /// What the renderer last looked at.
+    seen: Option<Instant>,
     camera_size_px: [u32; 2],
     projector_size_px: [u32; 2],
     patterns: Vec<ShownPattern>,
     shown: Shown,
     clock_nanos: u64,
     triggers: u64,
-    /// Doubled frames still to be delivered.
+    /// Doubled and stalled frames still to be delivered.
     repeats: VecDeque<Frame>,
+    is_unplugged: bool,
 }
 
 impl SimWorld {
@@ -210,13 +255,26 @@ impl SimWorld {
     pub fn new(config: &RigConfig) -> Result<Self, DeviceError> {
         config.validate()?;
         let calibration = config.calibration()?;
-        let scene = Scene::new(&config.sim.scene)?;
+        let sequence = match &config.sim.scene {
+            SceneConfig::Sequence(sequence) => Some(Sequence::read(sequence)?),
+            _ => None,
+        };
+        let scene = match &sequence {
+            Some(sequence) => Scene::of_sequence(sequence, Place::default()),
+            None => Scene::new(&config.sim.scene, &config.sim.placement)?,
+        };
+        let skin = match sequence.as_ref().and_then(|s| s.skin(Place::default())) {
+            Some(skin) => skin.clone(),
+            None => scene.skin(&config.sim),
+        };
         Ok(Self {
-            renderer: Renderer::new(&calibration, &scene, &config.sim.regions)?,
-            skin: scene.skin(&config.sim),
+            renderer: Renderer::new(&calibration, &scene, &skin, &config.sim.regions)?,
+            sequence,
+            skin,
             config: config.sim.clone(),
             scene,
             posed_mm: Vec::new(),
+            seen: None,
             camera_size_px: [calibration.camera.width_px, calibration.camera.height_px],
             projector_size_px: [calibration.projector.width_px, calibration.projector.height_px],
             patterns: Vec::new(),
@@ -224,15 +282,21 @@ impl SimWorld {
             clock_nanos: 0,
             triggers: 0,
             repeats: VecDeque::new(),
+            is_unplugged: false,
         })
     }
 
-    /// True surface at a time, scan frame, with `uv` at the places of [`Self::truth_albedo`]. For tests and reports.
+    /// True surface at a time, scan frame, with `uv` at the places of [`Self::truth_albedo`]; of a sequence with pictures, at
+    /// those of the scan's own picture. For tests and reports.
     pub fn truth_mesh(&self, time_nanos: u64) -> TriMesh {
+        let instant = self.instant(time_nanos as i64);
+        let moving = self.sequence.as_ref().map(|s| Scene::of_sequence(s, instant.place));
+        let scene = moving.as_ref().unwrap_or(&self.scene);
         let mut positions_mm = Vec::new();
-        self.pose(time_nanos as i64, &mut positions_mm);
-        let uv = self.scene.rest_mm().iter().map(|p| Skin::uv_of(p.x, p.y)).collect();
-        TriMesh { positions_mm, triangles: self.scene.triangles(), uv: Some(uv) }
+        scene.pose(&instant.posture, instant.shift_mm, &mut positions_mm);
+        let laid_on = || scene.rest_mm().iter().map(|p| Skin::uv_of(p.x, p.y)).collect();
+        let uv = scene.uv().map_or_else(laid_on, <[_]>::to_vec);
+        TriMesh { positions_mm, triangles: scene.triangles(), uv: Some(uv) }
     }
 
     /// True albedo, 255 for a white surface. For tests and reports.
@@ -242,16 +306,39 @@ impl SimWorld {
 
     /// True depth of every camera pixel at a time, mm, 0 where there is no surface. For tests and reports.
     pub fn truth_depth_mm(&mut self, time_nanos: u64) -> Vec<f32> {
-        let mut positions_mm = Vec::new();
-        self.pose(time_nanos as i64, &mut positions_mm);
-        self.renderer.depth_mm(&positions_mm)
+        self.look(time_nanos as i64);
+        self.renderer.depth_mm()
     }
 
-    /// Exposures at the start of a run reach back before time 0, so this time has a sign.
-    fn pose(&self, time_nanos: i64, out: &mut Vec<Vec3>) {
-        let posture = Posture::at(time_nanos, self.config.seed, self.config.motion);
-        let shift_mm = Vec3::from(self.config.velocity_mm_s) * (time_nanos as f64 * 1e-9) as f32;
-        self.scene.pose(&posture, shift_mm, out);
+    /// Where everything is. Exposures at the start of a run reach back before time 0, so this time has a sign.
+    fn instant(&self, time_nanos: i64) -> Instant {
+        Instant {
+            posture: Posture::at(time_nanos, self.config.seed, self.config.motion),
+            shift_mm: Vec3::from(self.config.velocity_mm_s) * (time_nanos as f64 * 1e-9) as f32,
+            place: self.sequence.as_ref().map_or_else(Place::default, |s| s.place(time_nanos)),
+        }
+    }
+
+    /// Has the renderer look at the scene, unless nothing has moved since it last did.
+    fn look(&mut self, time_nanos: i64) {
+        let mut instant = self.instant(time_nanos);
+        if !matches!(self.scene, Scene::Head(_)) {
+            // Only the head takes postures.
+            instant.posture = Posture::at(0, self.config.seed, 0.0);
+        }
+        if self.seen == Some(instant) {
+            return;
+        }
+        if let Some(sequence) = self.sequence.as_ref().filter(|_| self.seen.map(|s| s.place) != Some(instant.place)) {
+            self.scene = Scene::of_sequence(sequence, instant.place);
+            if let Some(skin) = sequence.skin(instant.place) {
+                self.skin.clone_from(skin);
+            }
+            self.renderer.set_scene(&self.scene, &self.skin, &self.config.regions);
+        }
+        self.scene.pose(&instant.posture, instant.shift_mm, &mut self.posed_mm);
+        self.renderer.look(&self.posed_mm, &self.skin, self.config.ambient);
+        self.seen = Some(instant);
     }
 
     /// The picture of an exposure with its middle at `time_nanos` in the light of one pattern, or in the dark.
@@ -267,11 +354,8 @@ impl SimWorld {
         for k in 0..samples {
             // Middles of equal parts of the exposure.
             let offset_nanos = exposure_nanos as i64 * (2 * k + 1 - samples) / (2 * samples);
-            let mut posed_mm = std::mem::take(&mut self.posed_mm);
-            self.pose(time_nanos as i64 + offset_nanos, &mut posed_mm);
-            self.posed_mm = posed_mm;
-            let shown = pattern.and_then(|p| self.patterns.get(usize::from(p.0)));
-            self.renderer.add_light(&self.posed_mm, &self.skin, shown, self.config.ambient);
+            self.look(time_nanos as i64 + offset_nanos);
+            self.renderer.add_light(pattern.and_then(|p| self.patterns.get(usize::from(p.0))));
         }
         self.renderer.develop(exposure_nanos, &self.config, picture_number)
     }
@@ -302,29 +386,43 @@ impl SimWorld {
         self.config.faults.iter().find(hit).map(|f| f.kind)
     }
 
-    /// The frame of the projector's next trigger that the camera gets; `None` when the projector plays nothing.
-    fn next_triggered_frame(&mut self, exposure_nanos: u64) -> Option<Frame> {
+    /// The frame of the projector's next trigger that the camera gets.
+    ///
+    /// # Errors
+    /// [`DeviceError::Timeout`] when the projector plays nothing, [`DeviceError`] of a fault.
+    fn next_triggered_frame(&mut self, exposure_nanos: u64) -> Result<Frame, DeviceError> {
         if let Some(frame) = self.repeats.pop_front() {
-            return Some(frame);
+            return Ok(frame);
         }
-        let Shown::Playing { timing, start_nanos } = self.shown else { return None };
-        loop {
-            let sequence = self.triggers;
-            self.triggers += 1;
-            let trigger_nanos = start_nanos + sequence * timing.picture_period_nanos;
-            let fault = self.fault_of(sequence);
-            if fault == Some(FaultKind::Lost) {
-                continue;
-            }
-            let late = if fault == Some(FaultKind::Late) { timing.picture_period_nanos * 6 / 10 } else { 0 };
-            let time_nanos = trigger_nanos + late;
-            let pattern = PatternIndex((sequence % self.patterns.len() as u64) as u16);
-            let frame = self.frame(sequence, pattern, time_nanos, exposure_nanos);
-            if fault == Some(FaultKind::Doubled) {
-                self.repeats.push_back(frame.clone());
-            }
-            return Some(frame);
+        let Shown::Playing { timing, start_nanos } = self.shown else {
+            // Without triggers virtual time stands still, so waiting for the deadline could change nothing.
+            return Err(DeviceError::Timeout("the projector plays nothing, so no trigger comes".into()));
+        };
+        let mut sequence = self.triggers;
+        while self.fault_of(sequence) == Some(FaultKind::Lost) {
+            sequence += 1;
         }
+        self.triggers = sequence + 1;
+        let fault = self.fault_of(sequence);
+        if fault == Some(FaultKind::Unplugged) {
+            self.is_unplugged = true;
+            return Err(DeviceError::Disconnected("the simulated camera".into()));
+        }
+        let trigger_nanos = start_nanos + sequence * timing.picture_period_nanos;
+        let late = if fault == Some(FaultKind::Late) { timing.picture_period_nanos * 6 / 10 } else { 0 };
+        let pattern = PatternIndex((sequence % self.patterns.len() as u64) as u16);
+        let true_nanos = if fault == Some(FaultKind::Saturated) { exposure_nanos * 8 } else { exposure_nanos };
+        let mut frame = self.frame(sequence, pattern, trigger_nanos + late, true_nanos);
+        frame.exposure_nanos = exposure_nanos;
+        match fault {
+            Some(FaultKind::Doubled) => self.repeats.push_back(frame.clone()),
+            Some(FaultKind::Stalled) => {
+                self.repeats.push_back(frame);
+                return Err(DeviceError::Timeout(format!("the transfer of picture {sequence} stalled")));
+            }
+            _ => {}
+        }
+        Ok(frame)
     }
 
     /// The frame of the camera's own clock.
@@ -341,10 +439,11 @@ impl SimWorld {
         const TRANSFER_NANOS: u64 = 4_000_000;
         self.clock_nanos = time_nanos;
         let shown = self.pattern_at(time_nanos);
+        let drift_nanos = (time_nanos as f64 * f64::from(self.config.clock_drift_ppm) * 1e-6).round() as i64;
         Frame {
             sequence,
             pattern,
-            device_time_nanos: time_nanos,
+            device_time_nanos: time_nanos.saturating_add_signed(drift_nanos),
             host_time_nanos: time_nanos + exposure_nanos / 2 + TRANSFER_NANOS,
             exposure_nanos,
             picture: self.expose(time_nanos, shown, exposure_nanos, sequence),
@@ -412,6 +511,77 @@ mod tests {
         };
         assert!(distance(&wrong[5], &right[6]) * 4 < distance(&wrong[5], &right[5]));
     }
+
+    #[test]
+    fn faults_saturate_stall_and_unplug() {
+        let mut config = RigConfig::simulated();
+        let fault = |kind, picture| Fault { kind, set: 0, picture };
+        config.sim.faults =
+            vec![fault(FaultKind::Saturated, 0), fault(FaultKind::Stalled, 1), fault(FaultKind::Unplugged, 3)];
+        let mut rig = playing(&config);
+        let mut next = || rig.camera.next_frame(Instant::now());
+        let white = |f: &Frame| f.picture.pixels.iter().filter(|v| **v >= 252).count();
+        let saturated = next().unwrap();
+        assert!(white(&saturated) > 40_000 && saturated.exposure_nanos == config.timing.exposure_nanos);
+        assert!(matches!(next(), Err(DeviceError::Timeout(reason)) if reason.contains("picture 1 stalled")));
+        let late = next().unwrap();
+        assert!(late.sequence == 1 && white(&late) < 20);
+        assert_eq!(next().unwrap().sequence, 2);
+        assert!(matches!(next(), Err(DeviceError::Disconnected(_))));
+        assert!(matches!(next(), Err(DeviceError::Disconnected(_))));
+        rig.camera.start().unwrap();
+        assert_eq!(rig.camera.next_frame(Instant::now()).unwrap().sequence, 4);
+    }
+
+    #[test]
+    fn a_clock_that_drifts_stamps_the_same_pictures_with_other_times() {
+        let mut config = RigConfig::simulated();
+        let right = frames(&config, 7);
+        config.sim.clock_drift_ppm = -400.0;
+        let drifted = frames(&config, 7);
+        assert!(right.iter().zip(&drifted).all(|(a, b)| a.picture == b.picture));
+        // 400 millionths of 33,333,336 ns.
+        assert_eq!(right[6].device_time_nanos - drifted[6].device_time_nanos, 13_333);
+    }
+
+    /// CRC-32 of Ethernet and zip, bit by bit.
+    fn crc32(bytes: &[u8]) -> u32 {
+        let step = |crc: u32, _| if crc & 1 != 0 { (crc >> 1) ^ 0xEDB8_8320 } else { crc >> 1 };
+        !bytes.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), step))
+    }
+
+    /// Every machine and every build renders these bytes; another sum means that old simulated recordings cannot be made again.
+    #[test]
+    fn pictures_of_a_seed_are_the_same_everywhere() {
+        assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
+        let mut found = Vec::new();
+        for scene in [SceneConfig::Head, SceneConfig::Plane, SceneConfig::Spheres, SceneConfig::Step] {
+            let mut config = RigConfig::simulated();
+            config.sim.scene = scene;
+            let plain = frames(&config, 4).iter().fold(Vec::new(), |all, f| [all, f.picture.pixels.clone()].concat());
+            config.sim.seed = 7;
+            config.sim.velocity_mm_s = [40.0, -20.0, 30.0];
+            config.sim.motion_samples = 3;
+            config.sim.projector_gamma = 2.2;
+            config.sim.defocus_sigma_px = 1.5;
+            config.sim.regions = [Finish::Dark, Finish::Shiny]
+                .map(|finish| Region { finish, centre_mm: [8.0, 20.0], radius_mm: 12.0 })
+                .to_vec();
+            let mut world = SimWorld::new(&config).unwrap();
+            world.load(&config.sequence);
+            let effects = world.expose(1_234_567_890, Some(PatternIndex(4)), 5_000_000, 222);
+            found.push((crc32(&plain), crc32(&effects.pixels)));
+        }
+        assert_eq!(found, GOLDEN);
+    }
+
+    /// Checksums of a head, a plane, spheres and a step: four plain pictures, and one with every effect.
+    const GOLDEN: [(u32, u32); 4] = [
+        (0xF37E_518A, 0x24F6_0D70),
+        (0x0BDB_E69A, 0xF68D_3527),
+        (0x1E6B_B746, 0x5D65_616A),
+        (0x2016_3139, 0x950E_9460),
+    ];
 
     #[test]
     fn calls_out_of_order_are_errors() {

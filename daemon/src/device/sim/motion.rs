@@ -1,8 +1,8 @@
 //! What the head does when: smooth functions of time, closed mouth and open eyes at time 0.
 
-use super::face::smoothstep;
+use super::face::{smoothstep, squared};
 use super::noise;
-use glam::{EulerRot, Mat3, Vec3};
+use glam::{Mat3, Vec3};
 use std::f32::consts::TAU;
 
 /// Amounts of every movement at one time; 0 is rest.
@@ -34,7 +34,16 @@ const CENTRE_MM: Vec3 = Vec3::new(0.0, 0.0, -602.0);
 const YAW_RAD: f32 = 0.07;
 
 fn swing(t: f32, hertz: f32) -> f32 {
-    0.5 - 0.5 * (TAU * hertz * t).cos()
+    0.5 - 0.5 * libm::cosf(TAU * hertz * t)
+}
+
+/// Rotation by a yaw about y of a pitch about x of a roll about z, radians; the same on every machine.
+fn turned(yaw_rad: f32, pitch_rad: f32, roll_rad: f32) -> Mat3 {
+    let [(sy, cy), (sx, cx), (sz, cz)] = [yaw_rad, pitch_rad, roll_rad].map(|a| (libm::sinf(a), libm::cosf(a)));
+    let yaw = Mat3::from_cols(Vec3::new(cy, 0.0, -sy), Vec3::Y, Vec3::new(sy, 0.0, cy));
+    let pitch = Mat3::from_cols(Vec3::X, Vec3::new(0.0, cx, sx), Vec3::new(0.0, -sx, cx));
+    let roll = Mat3::from_cols(Vec3::new(cz, sz, 0.0), Vec3::new(-sz, cz, 0.0), Vec3::Z);
+    yaw * pitch * roll
 }
 
 impl Posture {
@@ -42,24 +51,19 @@ impl Posture {
     pub fn at(time_nanos: i64, seed: u64, amount: f32) -> Self {
         let t = (time_nanos as f64 * 1e-9) as f32;
         let speech = amount * smoothstep(0.1, 0.6, swing(t, 1.0 / PHRASE_SECONDS));
-        let syllable = swing(t + 0.13 * (TAU * 0.61 * t).sin(), 2.1);
+        let syllable = swing(t + 0.13 * libm::sinf(TAU * 0.61 * t), 2.1);
         let blink_phase = (t + 0.45 * BLINK_SECONDS) % BLINK_SECONDS / 0.32;
         let sway = |axis: u64, hertz: f32| {
             let start = TAU * noise::uniform(seed.wrapping_mul(16).wrapping_add(axis));
-            amount * (TAU * hertz * t + start).sin()
+            amount * libm::sinf(TAU * hertz * t + start)
         };
         Self {
             jaw_rad: JAW_RAD * speech * (0.15 + 0.85 * syllable),
             smile: 0.8 * amount * swing(t, 0.23) * (1.0 - 0.4 * speech),
             pucker: 0.7 * speech * swing(t + 0.3, 0.95),
             blink: amount * if blink_phase < 1.0 { swing(blink_phase, 1.0) } else { 0.0 },
-            brow: 0.9 * amount * swing(t, 0.31).powi(2),
-            rotation: Mat3::from_euler(
-                EulerRot::YXZ,
-                YAW_RAD + 0.035 * sway(1, 0.27),
-                0.03 * sway(2, 0.34),
-                0.015 * sway(3, 0.21),
-            ),
+            brow: 0.9 * amount * squared(swing(t, 0.31)),
+            rotation: turned(YAW_RAD + 0.035 * sway(1, 0.27), 0.03 * sway(2, 0.34), 0.015 * sway(3, 0.21)),
             centre_mm: CENTRE_MM + Vec3::new(2.5 * sway(4, 0.19), 2.0 * sway(5, 0.24), 3.0 * sway(6, 0.16)),
         }
     }

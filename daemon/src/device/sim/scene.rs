@@ -1,19 +1,22 @@
 //! What stands before the scanner: the talking head, or a solid of known form that only the configured velocity moves.
 
+use super::board::BoardScene;
 use super::face::{COLUMNS, Face};
 use super::motion::Posture;
+use super::sequence::{Place, Sequence, SequenceScene};
 use super::skin::Skin;
 use super::{Region, SimConfig};
 use crate::device::DeviceError;
+use crate::files::FileError;
 use crate::files::obj::read_obj;
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 use gv3_codec::mesh::TriMesh;
 use serde::{Deserialize, Serialize};
 use std::f32::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
 /// Middle of the working range, where solids stand, scan frame.
-const CENTRE_MM: Vec3 = Vec3::new(0.0, 0.0, -600.0);
+pub const CENTRE_MM: Vec3 = Vec3::new(0.0, 0.0, -600.0);
 /// Half the width and height of the plane and the step, mm.
 const HALF_SIZE_MM: [f32; 2] = [110.0, 80.0];
 /// Turn of the plane about the vertical axis: its tangent, towards the projector.
@@ -24,7 +27,7 @@ const STEP_MM: f32 = 10.0;
 const SPHERE_RADIUS_MM: f32 = 40.0;
 const SPHERE_X_MM: f32 = 55.0;
 /// Largest distance of an OBJ's vertices from the middle of its bounds, which keeps it before the lenses.
-const MAX_REACH_MM: f32 = 400.0;
+pub const MAX_REACH_MM: f32 = 400.0;
 
 /// Which scene.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -42,6 +45,32 @@ pub enum SceneConfig {
     /// A mesh in a file, millimetres, moved so that the middle of its bounds is at 600 mm. A relative path starts at the rig's
     /// file.
     Obj(PathBuf),
+    /// A folder of scans, one after the other.
+    Sequence(SequenceScene),
+    /// A calibration board.
+    Board(BoardScene),
+}
+
+/// Where a solid stands.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Placement {
+    /// Shift from the middle of the working range, scan frame, mm.
+    pub offset_mm: [f32; 3],
+    /// Turns about the scan frame's x, then y, then z, through the middle of the working range, before the shift, degrees.
+    pub turn_deg: [f32; 3],
+}
+
+impl Placement {
+    fn apply(&self, p: Vec3) -> Vec3 {
+        // Not the standard library's: the same place on every machine.
+        let [x, y, z] = self.turn_deg.map(|deg| libm::sincosf(deg * (PI / 180.0)));
+        let about_x = Mat3::from_cols_array(&[1.0, 0.0, 0.0, 0.0, x.1, x.0, 0.0, -x.0, x.1]);
+        let about_y = Mat3::from_cols_array(&[y.1, 0.0, -y.0, 0.0, 1.0, 0.0, y.0, 0.0, y.1]);
+        let about_z = Mat3::from_cols_array(&[z.1, z.0, 0.0, -z.0, z.1, 0.0, 0.0, 0.0, 1.0]);
+        let turn = about_z * about_y * about_x;
+        CENTRE_MM + Vec3::from(self.offset_mm) + turn * (p - CENTRE_MM)
+    }
 }
 
 /// A scene with what is known of each of its vertices.
@@ -54,16 +83,18 @@ pub enum Scene {
         mesh: TriMesh,
         /// Normals of its vertices.
         normals: Vec<Vec3>,
+        /// What is printed on it, and the places of its vertices on the print.
+        print: Option<(BoardScene, Vec<Vec3>)>,
     },
 }
 
 impl Scene {
-    /// Builds or reads a scene.
+    /// Builds or reads a scene; of a sequence, its first scan.
     ///
     /// # Errors
     /// [`DeviceError::File`] for an OBJ that cannot be read, [`DeviceError::Config`] for one too large.
-    pub fn new(config: &SceneConfig) -> Result<Self, DeviceError> {
-        let mesh = match config {
+    pub fn new(config: &SceneConfig, placement: &Placement) -> Result<Self, DeviceError> {
+        let mut mesh = match config {
             SceneConfig::Head => return Ok(Self::Head(Box::new(Face::new()))),
             SceneConfig::Plane => plate(-HALF_SIZE_MM[0], HALF_SIZE_MM[0], PLANE_SLOPE, 0.0),
             SceneConfig::Spheres => joined([sphere(-SPHERE_X_MM), sphere(SPHERE_X_MM)]),
@@ -71,8 +102,23 @@ impl Scene {
                 joined([plate(-HALF_SIZE_MM[0], 0.0, 0.0, 0.0), plate(0.0, HALF_SIZE_MM[0], 0.0, STEP_MM)])
             }
             SceneConfig::Obj(path) => obj(path)?,
+            SceneConfig::Sequence(sequence) => {
+                return Ok(Self::of_sequence(&Sequence::read(sequence)?, Place::default()));
+            }
+            SceneConfig::Board(board) => {
+                board.validate()?;
+                let (mesh, places_mm) = board.mesh();
+                return Ok(Self::Solid { normals: mesh.vertex_normals(), mesh, print: Some((*board, places_mm)) });
+            }
         };
-        Ok(Self::Solid { normals: mesh.vertex_normals(), mesh })
+        mesh.positions_mm.iter_mut().for_each(|p| *p = placement.apply(*p));
+        Ok(Self::Solid { normals: mesh.vertex_normals(), mesh, print: None })
+    }
+
+    /// What of a sequence stands there at a place.
+    pub fn of_sequence(sequence: &Sequence, place: Place) -> Self {
+        let (mesh, normals) = sequence.surface(place);
+        Self::Solid { mesh, normals, print: None }
     }
 
     /// Positions in the scan frame at a posture, mm; a solid takes only the shift.
@@ -90,7 +136,16 @@ impl Scene {
     pub fn rest_mm(&self) -> &[Vec3] {
         match self {
             Self::Head(face) => &face.rest_mm,
+            Self::Solid { print: Some((_, places_mm)), .. } => places_mm,
             Self::Solid { mesh, .. } => &mesh.positions_mm,
+        }
+    }
+
+    /// Texture coordinates of the vertices, where they are not laid on by their places at rest.
+    pub fn uv(&self) -> Option<&[[f32; 2]]> {
+        match self {
+            Self::Head(_) => None,
+            Self::Solid { mesh, .. } => mesh.uv.as_deref(),
         }
     }
 
@@ -122,11 +177,12 @@ impl Scene {
         }
     }
 
-    /// The albedo: skin on the head, an even grey on solids.
+    /// The albedo: skin on the head, its print on a board, an even grey on solids.
     pub fn skin(&self, config: &SimConfig) -> Skin {
         let regions: &[Region] = &config.regions;
         match self {
             Self::Head(_) => Skin::new(config.seed, regions),
+            Self::Solid { print: Some((board, _)), .. } => Skin::printed(regions, |x, y| board.albedo(x, y)),
             Self::Solid { .. } => Skin::even(regions),
         }
     }
@@ -178,9 +234,15 @@ fn joined([mut a, b]: [TriMesh; 2]) -> TriMesh {
     a
 }
 
+/// An error of the file or folder at `path`, which is not named twice.
+pub fn unreadable(path: &Path, error: &FileError) -> DeviceError {
+    let text = error.to_string();
+    let reason = text.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&text);
+    DeviceError::File { path: path.to_path_buf(), reason: reason.into() }
+}
+
 fn obj(path: &Path) -> Result<TriMesh, DeviceError> {
-    let file_error = |reason: String| DeviceError::File { path: path.to_path_buf(), reason };
-    let mut mesh = read_obj(path).map_err(|e| file_error(e.to_string()))?.mesh;
+    let mut mesh = read_obj(path).map_err(|e| unreadable(path, &e))?.mesh;
     let (low, high) = mesh.bounds_mm();
     let middle = 0.5 * (low + high);
     let reach = 0.5 * (high - low).length();
@@ -196,7 +258,8 @@ fn obj(path: &Path) -> Result<TriMesh, DeviceError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{self, RigConfig};
+    use crate::device::sim::SimWorld;
+    use crate::device::{self, PatternIndex, RigConfig};
     use crate::pipeline::{FrameSetAssembler, Reconstructor};
     use glam::{DMat4, DVec3, DVec4};
     use std::time::Instant;
@@ -315,19 +378,83 @@ mod tests {
         assert!((height_mm - f64::from(STEP_MM)).abs() < 0.02, "{height_mm} mm");
     }
 
+    /// Whether the plate stands between a place of the wall and the camera or lamp, by exact geometry; `None` within 3 mm of the
+    /// plate's edge.
+    fn is_hidden(from: DVec3, wall: DVec3) -> Option<bool> {
+        let at_plate = wall + (from - wall) * ((-560.0 - wall.z) / (from.z - wall.z));
+        let beyond_mm = at_plate.x.abs().max(at_plate.y.abs()) - 20.0;
+        (beyond_mm.abs() > 3.0).then_some(beyond_mm < 0.0)
+    }
+
+    #[test]
+    fn a_plate_before_a_wall_hides_it_from_the_camera_and_shades_it_from_the_projector() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plate.obj");
+        let square =
+            |x: f32, y: f32, z: f32| format!("v -{x} -{y} {z}\nv {x} -{y} {z}\nv {x} {y} {z}\nv -{x} {y} {z}\n");
+        let faces = "f 1 2 3\nf 1 3 4\nf 5 6 7\nf 5 7 8\n";
+        std::fs::write(&path, square(100.0, 75.0, 0.0) + &square(20.0, 20.0, 80.0) + faces).unwrap();
+        let mut config = RigConfig::simulated();
+        config.sim.scene = SceneConfig::Obj(path);
+        let calibration = config.calibration().unwrap();
+        let from_camera = &calibration.projector_from_camera;
+        let light_in_camera = -(from_camera.matrix().transpose() * from_camera.translation());
+        let lamp_mm = DVec3::new(light_in_camera.x, -light_in_camera.y, -light_in_camera.z);
+        let mut world = SimWorld::new(&config).unwrap();
+        world.load(&config.sequence);
+        let pictures = [0u16, 1, 2, 3, 4, 5]
+            .map(|n| world.expose(0, Some(PatternIndex(n)), config.timing.exposure_nanos, u64::from(n)));
+        let depth_mm = world.truth_depth_mm(0);
+        let mut has_vertex = vec![false; depth_mm.len()];
+        let place =
+            |p: DVec3| calibration.camera.project(DVec3::new(p.x, -p.y, -p.z)).to_array().map(|v| v.round() as usize);
+        for p in scanned_with(&config).0 {
+            let [x, y] = place(p + CENTRE_MM.as_dvec3());
+            has_vertex[y * 640 + x] = true;
+        }
+        let (mut in_shadow, mut lit, mut measured) = (0, 0, 0);
+        for (i, ray) in calibration.camera.ray_table("camera").unwrap().iter().enumerate() {
+            let wall_mm = DVec3::new(ray.x, -ray.y, -1.0) * 640.0;
+            // A margin for the mask's erosion at the wall's own edges.
+            if wall_mm.x.abs() > 95.0 || wall_mm.y.abs() > 70.0 {
+                continue;
+            }
+            let levels = pictures.each_ref().map(|p| p.pixels[i]);
+            let swing = levels.iter().max().unwrap() - levels.iter().min().unwrap();
+            match (is_hidden(DVec3::ZERO, wall_mm), is_hidden(lamp_mm, wall_mm)) {
+                (Some(true), _) => assert!((depth_mm[i] - 560.0).abs() < 0.1, "the plate at {wall_mm}"),
+                (Some(false), Some(true)) => {
+                    in_shadow += 1;
+                    assert!((depth_mm[i] - 640.0).abs() < 0.1 && swing < 15, "{levels:?} at {wall_mm}");
+                    assert!(!has_vertex[i], "a vertex in the shadow at {wall_mm}");
+                }
+                (Some(false), Some(false)) => {
+                    lit += 1;
+                    measured += u32::from(swing > 30 && has_vertex[i]);
+                    assert!((depth_mm[i] - 640.0).abs() < 0.1, "the wall at {wall_mm}");
+                }
+                _ => {}
+            }
+        }
+        assert!(in_shadow > 300 && lit > 20_000, "{in_shadow} in the shadow, {lit} lit");
+        // Noise may take a dark pixel here and there.
+        assert!(measured * 100 > lit * 97, "{measured} of {lit} lit pixels measured");
+    }
+
     #[test]
     fn an_obj_stands_in_the_working_range_or_is_refused_by_name() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("solid.obj");
         std::fs::write(&path, "v 0 0 0\nv 60 0 0\nv 0 60 20\nf 1 2 3\n").unwrap();
         let scene = SceneConfig::Obj(path.clone());
-        let Scene::Solid { mesh, .. } = Scene::new(&scene).unwrap() else { panic!("no solid") };
+        let Scene::Solid { mesh, .. } = Scene::new(&scene, &Placement::default()).unwrap() else { panic!("no solid") };
         assert_eq!(mesh.bounds_mm(), (Vec3::new(-30.0, -30.0, -610.0), Vec3::new(30.0, 30.0, -590.0)));
         let toml = toml::to_string(&SimConfig { scene: scene.clone(), ..SimConfig::default() }).unwrap();
         assert_eq!(toml::from_str::<SimConfig>(&toml).unwrap().scene, scene);
         std::fs::write(&path, "v 0 0 0\nv 6000 0 0\nv 0 60 20\nf 1 2 3\n").unwrap();
-        assert!(Scene::new(&scene).err().unwrap().to_string().starts_with("sim.scene.obj"));
-        let missing = Scene::new(&SceneConfig::Obj("nowhere.obj".into())).err().unwrap().to_string();
+        assert!(Scene::new(&scene, &Placement::default()).err().unwrap().to_string().starts_with("sim.scene.obj"));
+        let missing =
+            Scene::new(&SceneConfig::Obj("nowhere.obj".into()), &Placement::default()).err().unwrap().to_string();
         assert!(missing.contains("nowhere.obj"), "{missing}");
     }
 }

@@ -1,12 +1,14 @@
 //! Albedo of the face, fixed to the material: skin with speckle and pores, brows, lips, eyes.
 
-use super::face::{self, EYE_X_MM, EYE_Y_MM, bump, smoothstep};
-use super::noise;
+use super::face::{self, EYE_X_MM, EYE_Y_MM, bump, smoothstep, squared};
+use super::noise::{self, Normals};
+use super::raster::whole;
 use super::{Finish, Region};
+use glam::Vec2;
 use gv3_codec::GreyPicture;
 
 /// Size of a texel, mm.
-const TEXEL_MM: f32 = 0.4;
+pub const TEXEL_MM: f32 = 0.4;
 /// The map covers -HALF_WIDTH_MM..HALF_WIDTH_MM and -HALF_HEIGHT_MM..HALF_HEIGHT_MM of rest positions.
 const HALF_WIDTH_MM: f32 = 96.0;
 const HALF_HEIGHT_MM: f32 = 124.0;
@@ -20,10 +22,15 @@ const DARK: f32 = 0.02;
 /// Albedo 0..1 over rest positions, row-major, first row lowest.
 #[derive(Debug, Clone)]
 pub struct Skin {
+    width: usize,
+    height: usize,
     texels: Vec<f32>,
 }
 
 impl Skin {
+    /// Half the width and height that the map covers, mm.
+    pub const HALF_SIZE_MM: Vec2 = Vec2::new(HALF_WIDTH_MM, HALF_HEIGHT_MM);
+
     /// The skin grown from a seed, with the dark ones of `regions` painted over it.
     pub fn new(seed: u64, regions: &[Region]) -> Self {
         // Grain of 0.5 to 4.5 mm: from one to eight camera pixels.
@@ -41,13 +48,34 @@ impl Skin {
             let bare = with_features(x, y, skin, grains[0].1[i]).clamp(0.04, 0.95);
             texels.push(painted(regions, [x, y], bare));
         }
-        Self { texels }
+        Self { width: WIDTH, height: HEIGHT, texels }
     }
 
     /// An even grey as bright as skin, with the dark ones of `regions` painted over it.
     pub fn even(regions: &[Region]) -> Self {
-        let texel = |i: usize| painted(regions, place_mm(i), SKIN);
-        Self { texels: (0..WIDTH * HEIGHT).map(texel).collect() }
+        Self::printed(regions, |_, _| SKIN)
+    }
+
+    /// What `print(x, y)` gives for the texels around rest positions, with the dark ones of `regions` painted over it.
+    pub fn printed(regions: &[Region], print: impl Fn(f32, f32) -> f32) -> Self {
+        let texel = |i: usize| {
+            let [x, y] = place_mm(i);
+            painted(regions, [x, y], print(x, y))
+        };
+        Self { width: WIDTH, height: HEIGHT, texels: (0..WIDTH * HEIGHT).map(texel).collect() }
+    }
+
+    /// The albedo that a picture shows, 255 for a white surface; a picture of one row or column is doubled.
+    pub fn of_picture(picture: &GreyPicture) -> Self {
+        let (w, h) = (picture.width_px as usize, picture.height_px as usize);
+        let (width, height) = (w.max(2), h.max(2));
+        let level = |i: usize| picture.pixels[(h - 1 - (i / width).min(h - 1)) * w + (i % width).min(w - 1)];
+        Self { width, height, texels: (0..width * height).map(|i| f32::from(level(i)) / 255.0).collect() }
+    }
+
+    /// Place of a texture coordinate in the map, texels.
+    pub fn texel_of_uv(&self, [u, v]: [f32; 2]) -> [f32; 2] {
+        [u * self.width as f32 - 0.5, v * self.height as f32 - 0.5]
     }
 
     /// Place of a rest position in the map, texels.
@@ -63,21 +91,25 @@ impl Skin {
 
     /// The map as a picture, first row on top, 255 for albedo 1.
     pub fn picture(&self) -> GreyPicture {
-        let rows = self.texels.chunks_exact(WIDTH).rev().flatten();
-        GreyPicture::new(WIDTH as u32, HEIGHT as u32, rows.map(|a| (a * 255.0 + 0.5) as u8).collect())
+        let rows = self.texels.chunks_exact(self.width).rev().flatten();
+        GreyPicture::new(self.width as u32, self.height as u32, rows.map(|a| (a * 255.0 + 0.5) as u8).collect())
     }
 
     /// Albedo at a place in the map, bilinear.
     #[inline]
     pub fn albedo(&self, texel: [f32; 2]) -> f32 {
-        let x = texel[0].clamp(0.0, (WIDTH - 2) as f32);
-        let y = texel[1].clamp(0.0, (HEIGHT - 2) as f32);
-        let (column, row) = (x as i32, y as i32);
-        let (fx, fy) = (x - column as f32, y - row as f32);
-        let at = row as usize * WIDTH + column as usize;
-        let t = &self.texels[at..at + WIDTH + 2];
+        let within = |v: f32, last: usize| {
+            let v = if v > 0.0 { v } else { 0.0 };
+            if v < last as f32 { v } else { last as f32 }
+        };
+        let (x, y) = (within(texel[0], self.width - 2), within(texel[1], self.height - 2));
+        let (column, row) = (whole(x), whole(y));
+        let (fx, fy) = (x - column as u32 as i32 as f32, y - row as u32 as i32 as f32);
+        let at = row * self.width + column;
+        let t = &self.texels[at..at + self.width + 2];
         let low = t[0] + fx * (t[1] - t[0]);
-        let high = t[WIDTH] + fx * (t[WIDTH + 1] - t[WIDTH]);
+        let above = &t[self.width..];
+        let high = above[0] + fx * (above[1] - above[0]);
         low + fy * (high - low)
     }
 }
@@ -114,14 +146,14 @@ fn with_features(x: f32, y: f32, skin: f32, hair: f32) -> f32 {
     let brow = smoothstep(4.6, 2.0, (y - brow_line).abs()) * smoothstep(11.0, 16.0, ax) * smoothstep(55.0, 44.0, ax);
     paint(brow * (0.72 + 0.2 * hair), 0.24);
     let from_line = y - face::mouth_line_mm(x);
-    let upper_edge = 7.2 * (1.0 - (ax / 27.0).powi(2)) - 1.2 * bump(x, 0.0, [0.0, 0.0], [3.0, 1.0]);
-    let lower_edge = 9.5 * (1.0 - (ax / 26.0).powi(2));
+    let upper_edge = 7.2 * (1.0 - squared(ax / 27.0)) - 1.2 * bump(x, 0.0, [0.0, 0.0], [3.0, 1.0]);
+    let lower_edge = 9.5 * (1.0 - squared(ax / 26.0));
     let edge = if from_line > 0.0 { upper_edge } else { lower_edge };
     paint(0.9 * smoothstep(0.8, -0.8, from_line.abs() - edge), 0.68 * skin);
     paint(smoothstep(1.2, 0.5, from_line.abs()) * smoothstep(28.0, 24.0, ax), 0.22);
     paint(0.9 * bump(ax, y, [6.5, -28.5], [2.6, 1.7]), 0.12);
     let eye = face::inside_eye(x, y);
-    let r = (ax - EYE_X_MM).hypot(y - EYE_Y_MM);
+    let r = (squared(ax - EYE_X_MM) + squared(y - EYE_Y_MM)).sqrt();
     let ball = if r < 2.4 { 0.1 } else { 0.28 + 0.42 * smoothstep(5.4, 6.4, r) };
     paint(eye, ball);
     let [low, high] = face::lid_edges(ax - EYE_X_MM);
@@ -132,8 +164,8 @@ fn with_features(x: f32, y: f32, skin: f32, hair: f32) -> f32 {
 
 /// Smooth noise of unit variance: white noise after three box means of the given radius in texels.
 fn grain(seed: u64, radius: usize) -> Vec<f32> {
-    let base = noise::hash(seed);
-    let mut field: Vec<f32> = (0..WIDTH * HEIGHT).map(|i| noise::normal(base.wrapping_add(i as u64))).collect();
+    let (base, normals) = (noise::hash(seed), Normals::table());
+    let mut field: Vec<f32> = (0..WIDTH * HEIGHT).map(|i| normals.at(base.wrapping_add(i as u64))).collect();
     for _ in 0..3 {
         field = box_mean_transposed(&field, WIDTH, HEIGHT, radius);
         field = box_mean_transposed(&field, HEIGHT, WIDTH, radius);

@@ -1,6 +1,6 @@
 //! Intrinsic triangulation: edge lengths only, flipped until Delaunay (Fisher, Springborn, Schröder, Bobenko 2007).
 
-use crate::mesh::half_edge::{NONE, next, prev};
+use super::half_edge::{NONE, next, prev};
 use crate::{CodecError, Result};
 
 /// Cotangent sums below this make an edge flip; not zero, so that cocircular points end the loop.
@@ -21,18 +21,26 @@ pub struct IntrinsicMesh {
     pub twin: Vec<u32>,
     /// Length of each half-edge's edge.
     pub length: Vec<f64>,
+    /// Edges that [`Self::make_delaunay`] leaves alone, a half-edge.
+    pub locked: Vec<bool>,
     /// Vertices, those made by [`Self::split`] included.
     pub vertex_count: usize,
 }
 
 impl IntrinsicMesh {
-    /// From an embedded mesh: `twin` as in [`crate::mesh::HalfEdges`].
-    pub fn new(mesh: &crate::mesh::TriMesh, twin: &[u32]) -> Self {
+    /// From an embedded mesh: `twin` as in [`super::HalfEdges`].
+    pub fn new(mesh: &super::TriMesh, twin: &[u32]) -> Self {
         let origin: Vec<u32> = mesh.triangles.iter().flatten().copied().collect();
         let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
         let length =
             (0..origin.len() as u32).map(|h| at(origin[h as usize]).distance(at(origin[next(h) as usize]))).collect();
-        Self { origin, twin: twin.to_vec(), length, vertex_count: mesh.vertex_count() }
+        Self {
+            locked: vec![false; origin.len()],
+            origin,
+            twin: twin.to_vec(),
+            length,
+            vertex_count: mesh.vertex_count(),
+        }
     }
 
     /// Makes every edge longer by the same amount, the least that leaves no triangle degenerate (Sharp, Crane 2020, "A
@@ -64,9 +72,9 @@ impl IntrinsicMesh {
 
     /// Area of the triangle of `h` by Kahan's stable form of Heron's formula, floored so that cotangents stay finite.
     pub fn area(&self, h: u32) -> f64 {
-        let mut e = [self.length[h as usize], self.length[next(h) as usize], self.length[prev(h) as usize]];
-        e.sort_unstable_by(|x, y| y.total_cmp(x));
-        let [a, b, c] = e;
+        let [x, y, z] = [h, next(h), prev(h)].map(|e| self.length[e as usize]);
+        let (low, high) = (x.min(y), x.max(y));
+        let [a, b, c] = [high.max(z), low.max(high.min(z)), low.min(z)];
         let s = (a + (b + c)) * (c - (a - b)) * (c + (a - b)) * (a + (b - c));
         (0.25 * s.max(0.0).sqrt()).max(1e-10 * a * a)
     }
@@ -77,18 +85,24 @@ impl IntrinsicMesh {
         (b * b + c * c - a * a) / (4.0 * self.area(h))
     }
 
-    /// Weight of an edge: half the sum of the opposite cotangents.
-    pub fn edge_weight(&self, h: u32) -> f64 {
-        let other = self.twin[h as usize];
-        let sum = self.cotangent(h) + if other == NONE { 0.0 } else { self.cotangent(other) };
-        0.5 * sum
+    /// Cotangents opposite all half-edges, the area of each triangle taken once.
+    pub fn cotangents(&self) -> Vec<f64> {
+        let mut cotangents = Vec::with_capacity(self.length.len());
+        for (t, length) in self.length.chunks_exact(3).enumerate() {
+            let four_areas = 4.0 * self.area(3 * t as u32);
+            let [a, b, c] = [length[0] * length[0], length[1] * length[1], length[2] * length[2]];
+            cotangents.extend([(b + c - a) / four_areas, (c + a - b) / four_areas, (a + b - c) / four_areas]);
+        }
+        cotangents
     }
 
-    /// Flips edges until every interior edge is Delaunay; returns the number of flips.
+    /// Flips edges until every interior edge that is not locked is Delaunay; returns the number of flips.
     pub fn make_delaunay(&mut self) -> usize {
-        let mut stack: Vec<u32> = (0..self.twin.len() as u32)
-            .filter(|&h| self.twin[h as usize] != NONE && h < self.twin[h as usize])
-            .collect();
+        let cotangents = self.cotangents();
+        let inner = |&(h, &g): &(usize, &u32)| g != NONE && h < g as usize;
+        let bad = |&(h, &g): &(usize, &u32)| cotangents[h] + cotangents[g as usize] < DELAUNAY_SLACK;
+        let mut stack: Vec<u32> =
+            self.twin.iter().enumerate().filter(inner).filter(bad).map(|(h, _)| h as u32).collect();
         let mut queued = vec![false; self.twin.len()];
         for &h in &stack {
             queued[h as usize] = true;
@@ -98,7 +112,11 @@ impl IntrinsicMesh {
         while let Some(h) = stack.pop() {
             queued[h as usize] = false;
             let other = self.twin[h as usize];
-            if other == NONE || self.cotangent(h) + self.cotangent(other) >= DELAUNAY_SLACK || flips >= most {
+            if other == NONE
+                || self.locked[h as usize]
+                || self.cotangent(h) + self.cotangent(other) >= DELAUNAY_SLACK
+                || flips >= most
+            {
                 continue;
             }
             if self.flip(h) {
@@ -131,7 +149,7 @@ impl IntrinsicMesh {
         if !diagonal.is_finite() {
             return false;
         }
-        let outer = [bc, ca, ad, db].map(|e| (self.twin[e as usize], self.length[e as usize]));
+        let outer = [bc, ca, ad, db].map(|e| (self.twin[e as usize], self.length[e as usize], self.locked[e as usize]));
         // Triangle of h becomes (c, d, b), that of g becomes (d, c, a); h and g stay the diagonal.
         let (h1, h2, g1, g2) = (next(h), prev(h), next(g), prev(g));
         for (e, v) in [(h, c), (h1, d), (h2, b), (g, d), (g1, c), (g2, a)] {
@@ -148,8 +166,9 @@ impl IntrinsicMesh {
             t if t == db => h1,
             t => t,
         };
-        for (e, (t, len)) in [(h1, old_db), (h2, old_bc), (g1, old_ca), (g2, old_ad)] {
+        for (e, (t, len, locked)) in [(h1, old_db), (h2, old_bc), (g1, old_ca), (g2, old_ad)] {
             self.length[e as usize] = len;
+            self.locked[e as usize] = locked;
             let t = if t == NONE { t } else { moved(t) };
             self.twin[e as usize] = t;
             if t != NONE {
@@ -157,6 +176,17 @@ impl IntrinsicMesh {
             }
         }
         true
+    }
+
+    /// Locks the edges of triangle `t`.
+    pub fn lock(&mut self, t: u32) {
+        for h in 3 * t..3 * t + 3 {
+            let twin = self.twin[h as usize];
+            self.locked[h as usize] = true;
+            if twin != NONE {
+                self.locked[twin as usize] = true;
+            }
+        }
     }
 
     /// Splits interior edge `h` at its middle; the new vertex has the next free index. Returns it.
@@ -183,6 +213,8 @@ impl IntrinsicMesh {
         self.origin.extend([middle, b, c]);
         self.length.extend([half, lbc, median]);
         self.twin.extend([NONE; 3]);
+        self.locked.extend([false, self.locked[bc as usize], false]);
+        self.locked[bc as usize] = false;
         self.length[h as usize] = half;
         self.length[bc as usize] = median;
         self.origin[bc as usize] = middle;
@@ -245,15 +277,35 @@ mod tests {
             let area: f64 = (0..m.twin.len() as u32).step_by(3).map(|h| m.area(h)).sum();
             prop_assert!(m.make_delaunay() > 0);
             check(&m);
-            for h in 0..m.twin.len() as u32 {
-                if m.twin[h as usize] != NONE {
-                    prop_assert!(m.edge_weight(h) >= -1e-8);
-                }
+            let cotangents = m.cotangents();
+            for (h, &g) in m.twin.iter().enumerate().filter(|(_, g)| **g != NONE) {
+                prop_assert!(cotangents[h] + cotangents[g as usize] >= -2e-8);
+                prop_assert!((cotangents[h] - m.cotangent(h as u32)).abs() <= 1e-12 * cotangents[h].abs().max(1.0));
             }
             // Flipping keeps lengths in the cone metric, so a flat pair keeps its area exactly.
             let after: f64 = (0..m.twin.len() as u32).step_by(3).map(|h| m.area(h)).sum();
             prop_assert!((after - area).abs() < 1e-6 * area);
         }
+    }
+
+    #[test]
+    fn locked_triangles_stay_while_others_flip() {
+        let mesh = grid(9, 4);
+        let he = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
+        let mut m = IntrinsicMesh::new(&mesh, &he.twin);
+        let kept: Vec<u32> = (0..mesh.triangles.len() as u32).step_by(5).collect();
+        kept.iter().for_each(|&t| m.lock(t));
+        assert!(m.make_delaunay() > 0);
+        check(&m);
+        let sorted = |t: &[u32]| {
+            let mut t = [t[0], t[1], t[2]];
+            t.sort_unstable();
+            t
+        };
+        let present: std::collections::BTreeSet<_> = m.origin.chunks_exact(3).map(sorted).collect();
+        assert!(kept.iter().all(|&t| present.contains(&sorted(&mesh.triangles[t as usize]))));
+        let locked = (0..m.twin.len()).filter(|&h| m.twin[h] != NONE && m.locked[h] != m.locked[m.twin[h] as usize]);
+        assert_eq!(locked.count(), 0, "both sides of an edge agree");
     }
 
     #[test]

@@ -1,0 +1,186 @@
+//! Thin-plate fairing of a patch (M. Botsch, L. Kobbelt, An Intuitive Framework for Real-Time Freeform Modeling, 2004).
+//!
+//! Least sum of |L x|² / area over the new vertices and the rim, L the cotangent Laplacian of the patch and the ring of
+//! triangles around it. That the rim's own Laplacians count makes the patch leave the rim in the surface's tangent plane.
+
+use super::{Patch, add_scaled};
+use crate::Result;
+use crate::linalg::{LowerCsc, SparseLlt};
+use crate::mesh::{HalfEdges, TriMesh};
+use glam::DVec3;
+
+/// Patches of more new vertices stay membranes: the factor of a bi-Laplacian is several times that of a Laplacian.
+const MAX_FAIRED_VERTICES: usize = 20_000;
+/// Times that the plate is bent, each with the metric of the surface before: the first knows only the flat membrane.
+const BEND_ROUNDS: usize = 3;
+/// A plate of more than this many times the membrane's area overshoots: the slopes around the hole are noise.
+const MAX_AREA_GROWTH: f64 = 2.0;
+/// Cotangents are held within this: 1.1 degrees.
+const MAX_COTANGENT: f64 = 50.0;
+
+/// Laplacians of the new vertices and the rim: for each its area and its coefficients (vertex, weight), itself among them.
+struct Rows {
+    area_mm2: Vec<f64>,
+    start: Vec<usize>,
+    coefficients: Vec<(u32, f64)>,
+}
+
+impl Patch<'_> {
+    /// Bends the membrane to a thin plate; leaves it where it is large, or where the plate overshoots.
+    pub(super) fn make_fair(&mut self, mesh: &TriMesh) {
+        let new = self.values.len() - self.rim.len();
+        if new == 0 || new > MAX_FAIRED_VERTICES {
+            return;
+        }
+        let (membrane, area) = (self.values.clone(), self.area_mm2());
+        let (around, triangles) = self.surroundings(mesh);
+        for _ in 0..BEND_ROUNDS {
+            let bent = self.bend(&around, &triangles);
+            let grown = self.area_mm2();
+            if bent.is_err() || grown.is_nan() || grown > MAX_AREA_GROWTH * area {
+                self.values = membrane;
+                return;
+            }
+        }
+    }
+
+    fn area_mm2(&self) -> f64 {
+        let at = |v: u32| point(&self.values[v as usize]);
+        self.origin.chunks_exact(3).map(|t| 0.5 * (at(t[1]) - at(t[0])).cross(at(t[2]) - at(t[0])).length()).sum()
+    }
+
+    /// Vertices next to the rim, which number on from the patch's, and the triangles between them and the rim.
+    fn surroundings(&self, mesh: &TriMesh) -> (Vec<[f64; 5]>, Vec<[u32; 3]>) {
+        let mut near: Vec<u32> = self.rim.iter().flat_map(|&v| self.half_edges.fan(v)).map(|h| h / 3).collect();
+        near.sort_unstable();
+        near.dedup();
+        let corners = |t: u32, h: &HalfEdges| [0, 1, 2].map(|k| h.from(3 * t + k));
+        let mut local: std::collections::BTreeMap<u32, u32> =
+            self.rim.iter().enumerate().map(|(i, &v)| (v, i as u32)).collect();
+        let mut around = Vec::new();
+        let mut triangles = Vec::with_capacity(near.len());
+        for t in near {
+            triangles.push(corners(t, self.half_edges).map(|v| {
+                *local.entry(v).or_insert_with(|| {
+                    around.push(super::vertex_values(mesh, v));
+                    (self.values.len() + around.len() - 1) as u32
+                })
+            }));
+        }
+        (around, triangles)
+    }
+
+    /// One linear solve for the new vertices, the metric that of the surface as it is.
+    fn bend(&mut self, around: &[[f64; 5]], triangles: &[[u32; 3]]) -> Result<()> {
+        let rim = self.rim.len();
+        let values: Vec<[f64; 5]> = self.values.iter().chain(around).copied().collect();
+        let all = self.origin.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).chain(triangles.iter().copied());
+        let rows = Rows::new(&values, self.values.len(), all);
+        let new = self.values.len() - rim;
+        let inner = |v: u32| (v as usize).checked_sub(rim).filter(|&i| i < new);
+        let (mut diagonal, mut entries, mut pull) = (vec![0.0; new], Vec::new(), vec![[0.0; 5]; new]);
+        for (row, &area_mm2) in rows.area_mm2.iter().enumerate() {
+            let coefficients = &rows.coefficients[rows.start[row]..rows.start[row + 1]];
+            for (at, &(j, cj)) in coefficients.iter().enumerate() {
+                let Some(i) = inner(j) else { continue };
+                let cj = cj / area_mm2;
+                diagonal[i] += cj * coefficients[at].1;
+                for (other, &(k, ck)) in coefficients.iter().enumerate().filter(|(other, _)| *other != at) {
+                    match inner(k) {
+                        None => add_scaled(&mut pull[i], &values[k as usize], [-cj * ck; 5]),
+                        Some(l) if other > at => entries.push((i as u32, l as u32, cj * ck)),
+                        Some(_) => {}
+                    }
+                }
+            }
+        }
+        let places: Vec<_> = (rim..self.values.len()).map(|v| self.position(v as u32)).collect();
+        let factor = SparseLlt::factorize_placed(&LowerCsc::assemble(&diagonal, &entries), &places)?;
+        let mut rhs: Vec<f64> = (0..5).flat_map(|c| pull.iter().map(move |p| p[c])).collect();
+        factor.solve(&mut rhs, 5);
+        for (i, value) in self.values[rim..].iter_mut().enumerate() {
+            *value = std::array::from_fn(|c| rhs[c * new + i]);
+        }
+        Ok(())
+    }
+}
+
+impl Rows {
+    /// Rows of the first `count` vertices.
+    fn new(values: &[[f64; 5]], count: usize, triangles: impl Iterator<Item = [u32; 3]>) -> Self {
+        let mut area_mm2 = vec![0.0; count];
+        let mut weights: Vec<(u32, u32, f64)> = Vec::new();
+        for t in triangles {
+            let p = t.map(|v| point(&values[v as usize]));
+            let doubled = (p[1] - p[0]).cross(p[2] - p[0]).length();
+            for k in 0..3 {
+                let (a, b, c) = (k, (k + 1) % 3, (k + 2) % 3);
+                if let Some(area) = area_mm2.get_mut(t[a] as usize) {
+                    *area += doubled / 6.0;
+                }
+                let cotangent = (p[a] - p[c]).dot(p[b] - p[c]) / doubled.max(f64::MIN_POSITIVE);
+                let weight = 0.5 * cotangent.clamp(-MAX_COTANGENT, MAX_COTANGENT);
+                let pairs = [(t[a], t[b], weight), (t[b], t[a], weight), (t[a], t[a], -weight), (t[b], t[b], -weight)];
+                weights.extend(pairs.into_iter().filter(|w| (w.0 as usize) < count));
+            }
+        }
+        let floor = 1e-3 * area_mm2.iter().sum::<f64>() / count as f64;
+        area_mm2.iter_mut().for_each(|area| *area = area.max(floor).max(f64::MIN_POSITIVE));
+        weights.sort_by_key(|w| (w.0, w.1));
+        let mut start = vec![0; count + 1];
+        let mut coefficients: Vec<(u32, f64)> = Vec::new();
+        let mut last = None;
+        for (i, j, w) in weights {
+            match coefficients.last_mut() {
+                Some(coefficient) if last == Some((i, j)) => coefficient.1 += w,
+                _ => coefficients.push((j, w)),
+            }
+            last = Some((i, j));
+            start[i as usize + 1] = coefficients.len();
+        }
+        // A vertex without triangles has an empty row.
+        for i in 0..count {
+            start[i + 1] = start[i + 1].max(start[i]);
+        }
+        Self { area_mm2, start, coefficients }
+    }
+}
+
+fn point(value: &[f64; 5]) -> DVec3 {
+    DVec3::new(value[0], value[1], value[2])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::fill_hole_as;
+    use super::*;
+    use crate::mesh::test_surfaces::plate;
+    use glam::Vec2;
+
+    /// Rms distance in height of the new vertices from the surface that the hole was cut from, as membrane and faired.
+    fn errors(height: impl Fn(Vec2) -> f32, radius_mm: f32) -> [f64; 2] {
+        [false, true].map(|fair| {
+            let mut mesh = plate(61, &height, |p| p.distance(Vec2::splat(30.0)) < radius_mm);
+            let kept = mesh.vertex_count();
+            let half_edges = HalfEdges::build(kept, &mesh.triangles).unwrap();
+            fill_hole_as(&mut mesh, &half_edges, &half_edges.boundary_loops()[1], fair);
+            assert!(HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap().is_disk());
+            let new = &mesh.positions_mm[kept..];
+            let square: f64 = new.iter().map(|p| f64::from(p.z - height(p.truncate())).powi(2)).sum();
+            (square / new.len() as f64).sqrt()
+        })
+    }
+
+    #[test]
+    fn a_cap_and_a_saddle_are_met_several_times_closer_than_by_the_membrane() {
+        let centred = |p: Vec2| p - Vec2::splat(30.0);
+        for radius_mm in [5.0, 12.0, 20.0] {
+            let cap = |p: Vec2| (60f32.powi(2) - centred(p).length_squared()).sqrt();
+            let [membrane, fair] = errors(cap, radius_mm);
+            assert!(fair < 0.2 * membrane, "cap, {radius_mm} mm: {fair} of {membrane}");
+            let saddle = |p: Vec2| (centred(p).x.powi(2) - 0.5 * centred(p).y.powi(2)) / 60.0;
+            let [membrane, fair] = errors(saddle, radius_mm);
+            assert!(fair < 0.2 * membrane, "saddle, {radius_mm} mm: {fair} of {membrane}");
+        }
+    }
+}

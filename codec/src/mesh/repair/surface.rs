@@ -1,0 +1,325 @@
+//! A surface from which triangles are taken away: pieces, orientation, thin borders, bow-ties.
+//!
+//! Taking a triangle away unlinks its neighbours; nothing is paired twice.
+
+use super::{RepairOptions, RepairReport};
+use crate::mesh::half_edge::{NONE, components, next, pair_edges, prev};
+use crate::mesh::{TriMesh, quality};
+use crate::{CodecError, Result};
+use glam::Vec3;
+
+/// The input with triangles taken away.
+pub(super) struct Surface<'a> {
+    mesh: &'a TriMesh,
+    origin: Vec<u32>,
+    twin: Vec<u32>,
+    alive: Vec<bool>,
+}
+
+/// What surrounds a vertex: the other corners of its triangles, and twice the length of the edges across from it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Ring {
+    corners: u32,
+    sum: Vec3,
+    doubled_length: f32,
+}
+
+impl<'a> Surface<'a> {
+    /// Usable triangles, paired and oriented; edges with more than two triangles are cut out.
+    pub(super) fn new(mesh: &'a TriMesh, report: &mut RepairReport) -> Result<Self> {
+        check_indices(mesh)?;
+        let usable = |t: &&[u32; 3]| {
+            let finite = t.iter().all(|&v| mesh.positions_mm[v as usize].is_finite());
+            finite && t[0] != t[1] && t[1] != t[2] && t[2] != t[0]
+        };
+        let triangles: Vec<[u32; 3]> = mesh.triangles.iter().filter(usable).copied().collect();
+        report.unusable_triangles = mesh.triangles.len() - triangles.len();
+        let origin = triangles.as_flattened().to_vec();
+        let mut crowded = Vec::new();
+        let twin = pair_edges(mesh.vertex_count(), &origin, |group| crowded.extend(group.iter().map(|h| h / 3)));
+        let mut surface = Self { mesh, origin, twin, alive: vec![true; triangles.len()] };
+        report.crowded_edge_triangles = crowded.into_iter().filter(|&t| surface.remove(t as usize)).count();
+        report.flipped_triangles = surface.orient()?;
+        Ok(surface)
+    }
+
+    /// Takes triangle `t` away; false when it was gone already.
+    fn remove(&mut self, t: usize) -> bool {
+        for h in 3 * t..3 * t + 3 {
+            let twin = std::mem::replace(&mut self.twin[h], NONE);
+            if twin != NONE {
+                self.twin[twin as usize] = NONE;
+            }
+        }
+        std::mem::replace(&mut self.alive[t], false)
+    }
+
+    /// Takes away every triangle for which `test` holds on the surface as it is now.
+    pub(super) fn remove_where(&mut self, test: impl Fn(&Self, usize) -> bool) -> usize {
+        let list: Vec<usize> = (0..self.alive.len()).filter(|&t| self.alive[t] && test(self, t)).collect();
+        list.iter().filter(|&&t| self.remove(t)).count()
+    }
+
+    fn corners(&self, t: usize) -> [Vec3; 3] {
+        [0, 1, 2].map(|k| self.mesh.positions_mm[self.origin[3 * t + k] as usize])
+    }
+
+    pub(super) fn normal(&self, t: usize) -> Vec3 {
+        let [a, b, c] = self.corners(t);
+        (b - a).cross(c - a)
+    }
+
+    fn is_border_triangle(&self, t: usize) -> bool {
+        self.twin[3 * t..3 * t + 3].contains(&NONE)
+    }
+
+    pub(super) fn is_closed(&self) -> bool {
+        let mut pieces = (0..self.alive.len()).filter(|&t| self.alive[t]).peekable();
+        pieces.peek().is_some() && pieces.all(|t| !self.is_border_triangle(t))
+    }
+
+    /// Why a closed surface is refused, with an edge that shows it.
+    pub(super) fn closed_message(&self) -> String {
+        let h = 3 * self.alive.iter().position(|&alive| alive).unwrap_or(0);
+        let (a, b) = (self.origin[h] + 1, self.origin[h + 1] + 1);
+        format!(
+            "is closed: edge {a}-{b}, like all others, has two triangles; a scan has a border (--open-closed cuts its back away)"
+        )
+    }
+
+    /// Turns triangles round until neighbours agree, the majority of every piece unturned; how many were turned.
+    fn orient(&mut self) -> Result<usize> {
+        let same = |s: &Self, h: usize| s.twin[h] != NONE && s.origin[s.twin[h] as usize] == s.origin[h];
+        if !(0..self.twin.len()).any(|h| same(self, h)) {
+            return Ok(0);
+        }
+        let mut turned: Vec<Option<bool>> = vec![None; self.alive.len()];
+        for seed in 0..self.alive.len() {
+            if turned[seed].is_some() {
+                continue;
+            }
+            turned[seed] = Some(false);
+            let mut piece = vec![seed];
+            let mut reached = 0;
+            while let Some(&t) = piece.get(reached) {
+                reached += 1;
+                for h in (3 * t..3 * t + 3).filter(|&h| self.twin[h] != NONE) {
+                    let other = self.twin[h] as usize / 3;
+                    let wanted = turned[t].map(|turned| turned != same(self, h));
+                    if turned[other].is_none() {
+                        turned[other] = wanted;
+                        piece.push(other);
+                    } else if turned[other] != wanted {
+                        return Err(CodecError::Mesh(format!(
+                            "has no consistent orientation (like a Möbius strip) near vertex {}",
+                            self.origin[h] + 1
+                        )));
+                    }
+                }
+            }
+            if 2 * piece.iter().filter(|&&t| turned[t] == Some(true)).count() > piece.len() {
+                piece.iter().for_each(|&t| turned[t] = turned[t].map(|turned| !turned));
+            }
+        }
+        let count = (0..turned.len()).filter(|&t| turned[t] == Some(true) && self.alive[t]).count();
+        self.turn(|t| turned[t] == Some(true));
+        Ok(count)
+    }
+
+    /// Swaps corners 1 and 2 of triangles: half-edges 0 and 2 change places.
+    fn turn(&mut self, turned: impl Fn(usize) -> bool) {
+        let moved = |h: u32| if turned(h as usize / 3) { h / 3 * 3 + (2 - h % 3) } else { h };
+        for twin in self.twin.iter_mut().filter(|twin| **twin != NONE) {
+            *twin = moved(*twin);
+        }
+        for t in (0..self.alive.len()).filter(|&t| turned(t)) {
+            self.origin.swap(3 * t + 1, 3 * t + 2);
+            self.twin.swap(3 * t, 3 * t + 2);
+        }
+    }
+
+    /// Drops every piece but that with the most triangles, the first of equals.
+    pub(super) fn keep_largest_piece(&mut self) -> usize {
+        let (label, count) = components(&self.twin);
+        let mut sizes = vec![0usize; count];
+        for (t, &piece) in label.iter().enumerate() {
+            sizes[piece as usize] += usize::from(self.alive[t]);
+        }
+        let largest = (0..count).rev().max_by_key(|&piece| sizes[piece]).unwrap_or(0);
+        self.remove_where(|_, t| label[t] as usize != largest)
+    }
+
+    /// Takes away what stands in the way of a map inside the surface; holes are left, to be filled afresh: the triangles
+    /// around spikes, vertices far from the middle of their neighbours for the size of the ring these form, then those
+    /// around the blunt corner of slivers.
+    pub(super) fn cut_spikes_and_slivers(&mut self, options: &RepairOptions, report: &mut RepairReport) {
+        let (rings, slivers) = self.rings_and_slivers(options.min_inner_quality);
+        let spike = |v: u32| {
+            let Ring { corners, sum, doubled_length } = rings[v as usize];
+            let away = self.mesh.positions_mm[v as usize] * corners as f32 - sum;
+            corners > 0 && away.length_squared() > (options.max_spike_ratio * doubled_length).powi(2)
+        };
+        let mut cut: Vec<bool> = (0..self.mesh.vertex_count() as u32).map(spike).collect();
+        report.spike_triangles += self.remove_around(&cut);
+        cut.fill(false);
+        for t in slivers.into_iter().filter(|&t| self.alive[t]) {
+            let [a, b, c] = self.corners(t);
+            let opposite2 = [b.distance_squared(c), c.distance_squared(a), a.distance_squared(b)];
+            let blunt = (1..3).fold(0, |best, k| if opposite2[k] >= opposite2[best] { k } else { best });
+            cut[self.origin[3 * t + blunt] as usize] = true;
+        }
+        report.sliver_triangles += self.remove_around(&cut);
+    }
+
+    /// What surrounds each vertex, and the triangles of a shape quality below `min_quality`.
+    fn rings_and_slivers(&self, min_quality: f32) -> (Vec<Ring>, Vec<usize>) {
+        let mut rings = vec![Ring::default(); self.mesh.vertex_count()];
+        let mut slivers = Vec::new();
+        for t in (0..self.alive.len()).filter(|&t| self.alive[t]) {
+            let corners = self.corners(t);
+            for k in 0..3 {
+                let (b, c) = (corners[(k + 1) % 3], corners[(k + 2) % 3]);
+                let ring = &mut rings[self.origin[3 * t + k] as usize];
+                ring.corners += 2;
+                ring.sum += b + c;
+                ring.doubled_length += 2.0 * b.distance(c);
+            }
+            if quality(corners) < min_quality {
+                slivers.push(t);
+            }
+        }
+        (rings, slivers)
+    }
+
+    fn remove_around(&mut self, cut: &[bool]) -> usize {
+        if !cut.contains(&true) {
+            return 0;
+        }
+        self.remove_where(|s, t| (3 * t..3 * t + 3).any(|h| cut[s.origin[h] as usize]))
+    }
+
+    /// Peels thin triangles off the borders, opens the surface (triangles without an inner vertex go, and with them
+    /// teeth, whiskers and bridges), and cuts bow-ties, until nothing changes.
+    pub(super) fn trim(&mut self, options: &RepairOptions, report: &mut RepairReport) {
+        for _ in 0..options.trim_rounds {
+            let thin =
+                |s: &Self, t: usize| s.is_border_triangle(t) && quality(s.corners(t)) < options.min_border_quality;
+            let removed = self.remove_where(thin);
+            report.border_triangles += removed;
+            if removed == 0 {
+                break;
+            }
+        }
+        loop {
+            report.border_triangles += self.open();
+            report.other_piece_triangles += self.keep_largest_piece();
+            let cut = self.cut_bow_ties();
+            report.bow_tie_triangles += cut;
+            if cut == 0 {
+                return;
+            }
+        }
+    }
+
+    /// Morphological opening by one ring; a surface without any inner vertex stays as it is.
+    fn open(&mut self) -> usize {
+        let mut inner = vec![true; self.mesh.vertex_count()];
+        for h in (0..self.twin.len()).filter(|&h| self.alive[h / 3] && self.twin[h] == NONE) {
+            inner[self.origin[h] as usize] = false;
+            inner[self.origin[next(h as u32) as usize] as usize] = false;
+        }
+        let has_inner = |s: &Self, t: usize| (3 * t..3 * t + 3).any(|h| inner[s.origin[h] as usize]);
+        if !(0..self.alive.len()).any(|t| self.alive[t] && has_inner(self, t)) {
+            return 0;
+        }
+        self.remove_where(|s, t| !has_inner(s, t))
+    }
+
+    /// Where several fans meet in a vertex keeps the largest, the first of equals.
+    fn cut_bow_ties(&mut self) -> usize {
+        let mut start = vec![0u32; self.mesh.vertex_count() + 1];
+        let alive_corners = || (0..self.origin.len()).filter(|&h| self.alive[h / 3]);
+        alive_corners().for_each(|h| start[self.origin[h] as usize + 1] += 1);
+        for v in 0..self.mesh.vertex_count() {
+            start[v + 1] += start[v];
+        }
+        let (mut fill, mut corners) = (start.clone(), vec![0u32; start[self.mesh.vertex_count()] as usize]);
+        for h in alive_corners() {
+            let slot = &mut fill[self.origin[h] as usize];
+            corners[*slot as usize] = h as u32;
+            *slot += 1;
+        }
+        let mut removed = 0;
+        let mut suspects: Vec<u32> = (0..self.mesh.vertex_count() as u32).rev().collect();
+        while let Some(v) = suspects.pop() {
+            let around = &corners[start[v as usize] as usize..start[v as usize + 1] as usize];
+            let Some(keep) = self.largest_fan(around) else { continue };
+            for &h in around.iter().filter(|h| !keep.contains(h)) {
+                let t = h as usize / 3;
+                if self.remove(t) {
+                    removed += 1;
+                    suspects.extend(&self.origin[3 * t..3 * t + 3]);
+                }
+            }
+        }
+        removed
+    }
+
+    /// Half-edges of the largest fan among those that leave one vertex; `None` when there is but one fan.
+    fn largest_fan(&self, around: &[u32]) -> Option<Vec<u32>> {
+        let alive = |h: &&u32| self.alive[**h as usize / 3];
+        let count = around.iter().filter(alive).count();
+        let first = *around.iter().find(alive)?;
+        if self.fan(first).count() == count {
+            return None;
+        }
+        let mut fans: Vec<Vec<u32>> = Vec::new();
+        for &h in around.iter().filter(alive) {
+            if !fans.iter().any(|fan| fan.contains(&h)) {
+                fans.push(self.fan(h).collect());
+            }
+        }
+        fans.into_iter().rev().max_by_key(Vec::len)
+    }
+
+    /// All half-edges that leave the vertex of `h` in its fan.
+    fn fan(&self, h: u32) -> impl Iterator<Item = u32> + '_ {
+        let clockwise = |h: u32| Some(self.twin[h as usize]).filter(|&twin| twin != NONE).map(next);
+        let mut first = h;
+        while let Some(back) = clockwise(first) {
+            first = back;
+            if back == h {
+                break;
+            }
+        }
+        std::iter::successors(Some(first), move |&h| {
+            Some(self.twin[prev(h) as usize]).filter(|&onward| onward != NONE && onward != first)
+        })
+    }
+
+    pub(super) fn into_mesh(self) -> (TriMesh, Vec<u32>) {
+        let triangles = self.origin.chunks_exact(3).zip(&self.alive).filter(|(_, alive)| **alive);
+        let kept = TriMesh {
+            positions_mm: self.mesh.positions_mm.clone(),
+            triangles: triangles.map(|(t, _)| [t[0], t[1], t[2]]).collect(),
+            uv: self.mesh.uv.clone(),
+        };
+        kept.submesh(|_| true)
+    }
+}
+
+fn check_indices(mesh: &TriMesh) -> Result<()> {
+    let n = mesh.vertex_count();
+    if n >= NONE as usize || mesh.triangles.len() >= NONE as usize / 3 {
+        return Err(CodecError::Mesh(format!("{n} vertices are more than 32-bit indices can name")));
+    }
+    if let Some(t) = mesh.triangles.iter().position(|t| t.iter().any(|&v| v as usize >= n)) {
+        return Err(CodecError::Mesh(format!("triangle {} names a vertex beyond the {n} there are", t + 1)));
+    }
+    match &mesh.uv {
+        Some(uv) if uv.len() != n => {
+            Err(CodecError::Mesh(format!("{} texture coordinates for {n} vertices", uv.len())))
+        }
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,93 @@
+//! The prediction filter of raw pictures: each pixel less what its neighbours say it is.
+//!
+//! The median edge detector of LOCO-I (Weinberger, Seroussi, Sapiro, IEEE Trans. Image Processing 9(8), 2000, eq. 1), which
+//! takes the pixel above along a vertical fringe, the one to the left along a horizontal one, and their plane elsewhere.
+
+/// Prediction of a pixel from the one to its left, above, and above left.
+fn predicted(left: u8, above: u8, corner: u8) -> u8 {
+    let plane = i16::from(left) + i16::from(above) - i16::from(corner);
+    // Between the smaller and the larger of two bytes, so a byte.
+    plane.clamp(i16::from(left.min(above)), i16::from(left.max(above))) as u8
+}
+
+/// Residuals of a picture of rows of `width_px`, modulo 256, into `out`. The first row is predicted from the left, the first
+/// column from above, the first pixel as 0.
+///
+/// # Panics
+/// When `out` is not as long as `pixels`, or `width_px` is 0 or no divisor of it.
+pub fn residuals(pixels: &[u8], width_px: usize, out: &mut [u8]) {
+    assert_eq!(pixels.len(), out.len(), "a residual a pixel");
+    assert!(width_px > 0 && pixels.len().is_multiple_of(width_px), "whole rows");
+    let mut above: &[u8] = &[];
+    for (row, out) in pixels.chunks_exact(width_px).zip(out.chunks_exact_mut(width_px)) {
+        out[0] = row[0].wrapping_sub(above.first().copied().unwrap_or(0));
+        if above.is_empty() {
+            for (out, pair) in out[1..].iter_mut().zip(row.windows(2)) {
+                *out = pair[1].wrapping_sub(pair[0]);
+            }
+        } else {
+            // Windows instead of indices, so that the loop has no bounds to check and becomes vector code.
+            for ((out, pair), above) in out[1..].iter_mut().zip(row.windows(2)).zip(above.windows(2)) {
+                *out = pair[1].wrapping_sub(predicted(pair[0], above[1], above[0]));
+            }
+        }
+        above = row;
+    }
+}
+
+/// Turns residuals back into pixels in place: the inverse of [`residuals`].
+///
+/// # Panics
+/// When `width_px` is 0 or no divisor of the length.
+pub fn undo(bytes: &mut [u8], width_px: usize) {
+    assert!(width_px > 0 && bytes.len().is_multiple_of(width_px), "whole rows");
+    let (first, rest) = bytes.split_at_mut(width_px.min(bytes.len()));
+    let mut left = 0u8;
+    for pixel in first.iter_mut() {
+        *pixel = pixel.wrapping_add(left);
+        left = *pixel;
+    }
+    let mut above: &[u8] = first;
+    for row in rest.chunks_exact_mut(width_px) {
+        row[0] = row[0].wrapping_add(above[0]);
+        let mut left = row[0];
+        for (pixel, above) in row[1..].iter_mut().zip(above.windows(2)) {
+            *pixel = pixel.wrapping_add(predicted(left, above[1], above[0]));
+            left = *pixel;
+        }
+        above = row;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn known_residuals() {
+        let pixels: Vec<u8> = (0..6 * 5).map(|i| 10 + 2 * (i % 6) + 3 * (i / 6)).collect();
+        let mut out = vec![0; 30];
+        residuals(&pixels, 6, &mut out);
+        assert_eq!(out[..7], [10, 2, 2, 2, 2, 2, 3]);
+        // Both neighbours rise from the corner, so the larger is taken, and the slope of the row remains.
+        assert_eq!(out[7..12], [2; 5]);
+        assert_eq!(predicted(13, 12, 10), 13);
+        assert_eq!(predicted(10, 14, 12), 12);
+        assert_eq!(predicted(200, 250, 10), 250);
+        assert_eq!(predicted(5, 9, 255), 5);
+    }
+
+    proptest! {
+        #[test]
+        fn undo_is_the_inverse(width in 1usize..40, height in 1usize..12, seed in any::<u64>()) {
+            let mut state = seed;
+            let mut next = || { state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1); (state >> 56) as u8 };
+            let pixels: Vec<u8> = (0..width * height).map(|_| next()).collect();
+            let mut bytes = vec![0; pixels.len()];
+            residuals(&pixels, width, &mut bytes);
+            undo(&mut bytes, width);
+            prop_assert_eq!(bytes, pixels);
+        }
+    }
+}
