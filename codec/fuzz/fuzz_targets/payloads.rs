@@ -1,6 +1,7 @@
 // What each fuzz target does with its bytes; `tests/corpus.rs` runs the same on the corpora.
 
-use gv3_codec::seed::{Flattened, decode_group, decode_stamps};
+use gv3_codec::decode_stamps;
+use gv3_codec::seed::{Flattened, decode_group};
 use gv3_codec::texture::{MAX_SIDE_PX, decode_key_texture};
 use gv3_codec::{Mode, StreamHeader};
 
@@ -17,10 +18,9 @@ pub fn stream_header(bytes: &[u8]) {
 /// A group that decodes has sound stamps and surface, and lies on a finite disk or is refused.
 pub fn group(bytes: &[u8]) {
     let header = StreamHeader {
-        mode: Mode::Seed,
+        mode: Mode::Seed { position_step_mm: 0.0625 },
         keyframe_interval: 10,
         scan_period_nanos: 33_333_333,
-        position_step_mm: 0.0625,
     };
     let stamps = decode_stamps(&header, bytes);
     let Ok(group) = decode_group(&header, bytes) else { return };

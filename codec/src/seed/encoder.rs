@@ -1,6 +1,6 @@
 //! Encoder of the seed mode: one scan in, a group out whenever a keyframe closes it.
 
-use super::group::{self, Stamp};
+use super::group;
 use super::landmarks::{GivenCounts, GivenLandmark, LandmarkTrail};
 use super::surface::{self, TextureFrame};
 use crate::mesh::TriMesh;
@@ -8,7 +8,7 @@ use crate::mesh::repair::{RepairOptions, RepairReport, to_disk};
 use crate::mesh::simplify::{SimplifyOptions, simplify};
 use crate::motion::PixelMap;
 use crate::texture::{encode_key_texture, fit_camera};
-use crate::{CodecError, Result, Scan, StreamHeader};
+use crate::{CodecError, Mode, Result, Scan, Stamp, StreamHeader};
 
 /// What the encoder may be told.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +27,7 @@ impl EncoderConfig {
     /// The published scheme's settings: a sixth of the vertices, every tenth scan, for scans of one period.
     pub fn new(scan_period_nanos: u64) -> Self {
         let header =
-            StreamHeader { mode: crate::Mode::Seed, keyframe_interval: 10, scan_period_nanos, position_step_mm: 0.05 };
+            StreamHeader { mode: Mode::Seed { position_step_mm: 0.05 }, keyframe_interval: 10, scan_period_nanos };
         Self { header, vertex_ratio: 6, texture_quality: 85, repair: RepairOptions::default() }
     }
 }
@@ -154,7 +154,7 @@ impl Encoder {
 
     fn close_group(&mut self, scan: &Scan, given: &[GivenLandmark], mesh: &TriMesh) -> Result<EncodedGroup> {
         let frame = texture_frame(scan);
-        let coded = surface::encode(mesh, self.config.header.position_step_mm, frame)?;
+        let coded = surface::encode(mesh, self.config.header.position_step_mm()?, frame)?;
         let (pairs, landmarks) = self.trail.close_keyframe(scan, given, &coded.decoded)?;
         let before = (self.key_tick, &pairs[..]);
         let geometry = group::encode(&self.config.header, &self.stamps, &coded.bytes, before)?;

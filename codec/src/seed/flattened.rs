@@ -100,7 +100,7 @@ fn nearest_pairs(earlier: &Flattened, later: &Flattened) -> Vec<(DVec2, DVec2)> 
 mod tests {
     use super::*;
     use crate::bits::connectivity::tests::random_disk;
-    use crate::seed::Stamp;
+    use crate::Stamp;
     use glam::Vec3;
     use proptest::prelude::*;
 

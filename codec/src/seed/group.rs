@@ -2,34 +2,17 @@
 
 use super::surface;
 use crate::bits::attributes::{put_section, take_section};
-use crate::bits::bytes::{ByteReader, put_varint, unzigzag64, zigzag64};
+use crate::bits::bytes::{ByteReader, put_varint};
+use crate::stamps::{MAX_TICK, Stamp, check_stamps, put_stamps, take_stamps};
 use crate::mesh::TriMesh;
 use crate::param::locate::Place;
 use crate::{CodecError, Result, StreamHeader};
 
-/// Most scans in a group.
-pub const MAX_SCANS: u64 = 65_536;
-
 /// Most landmarks a keyframe carries.
 pub const MAX_LANDMARKS: u64 = 1024;
 
-/// Largest tick: a scan a microsecond for twelve days.
-pub const MAX_TICK: u64 = 1 << 40;
-
-/// Largest sensor time, 146 years.
-pub const MAX_TIME_NANOS: u64 = (1 << 62) - 1;
-
 /// Longest landmarks section: a count, and two places of a four-byte triangle and two weights a pair.
 const MAX_LANDMARK_BYTES: usize = 2 + 12 * MAX_LANDMARKS as usize;
-
-/// When a scan was taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Stamp {
-    /// Sensor time in scan periods.
-    pub tick: u64,
-    /// Sensor time in nanoseconds since the run began.
-    pub time_nanos: u64,
-}
 
 /// The same point of the surface on the keyframe before and on this one.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,11 +54,7 @@ pub fn encode(
     surface: &[u8],
     (before_tick, landmarks): (Option<u64>, &[LandmarkPair]),
 ) -> Result<Vec<u8>> {
-    let increasing = stamps.windows(2).all(|w| w[0].tick < w[1].tick && w[0].time_nanos < w[1].time_nanos);
-    let in_range = stamps.iter().all(|s| s.tick <= MAX_TICK && s.time_nanos <= MAX_TIME_NANOS);
-    if stamps.is_empty() || stamps.len() as u64 > MAX_SCANS || !increasing || !in_range {
-        return Err(CodecError::Stream("a group needs 1 to 65536 scans with increasing ticks and times".into()));
-    }
+    check_stamps(stamps)?;
     if before_tick.is_some_and(|t| t >= stamps[0].tick) || (before_tick.is_none() && !landmarks.is_empty()) {
         return Err(CodecError::Stream("landmarks need a keyframe before the group".into()));
     }
@@ -83,17 +62,7 @@ pub fn encode(
         return Err(CodecError::Stream(format!("{} landmarks; {MAX_LANDMARKS} can be coded", landmarks.len())));
     }
     let mut out = Vec::new();
-    put_varint(&mut out, stamps.len() as u64);
-    let mut before = 0;
-    for s in stamps {
-        put_varint(&mut out, s.tick - before);
-        before = s.tick;
-        let offset = i128::from(s.time_nanos) - i128::from(s.tick) * i128::from(header.scan_period_nanos);
-        let offset = i64::try_from(offset).map_err(|_| {
-            CodecError::Stream(format!("tick {} lies centuries away from its time, {} ns", s.tick, s.time_nanos))
-        })?;
-        put_varint(&mut out, zigzag64(offset));
-    }
+    put_stamps(&mut out, stamps, header.scan_period_nanos)?;
     put_varint(&mut out, before_tick.map_or(0, |t| t + 1));
     out.extend_from_slice(surface);
     let mut pairs = Vec::new();
@@ -106,47 +75,18 @@ pub fn encode(
     Ok(out)
 }
 
-/// Reads the stamps of a group without its surface.
-///
-/// # Errors
-/// [`CodecError::Payload`] at the first byte that does not follow FORMAT.md, "Group".
-pub fn decode_stamps(header: &StreamHeader, bytes: &[u8]) -> Result<Vec<Stamp>> {
-    take_stamps(header, &mut ByteReader::new(bytes, "group"))
-}
-
-fn take_stamps(header: &StreamHeader, reader: &mut ByteReader<'_>) -> Result<Vec<Stamp>> {
-    let count = reader.varint_up_to(MAX_SCANS, "scan count")?;
-    let mut stamps: Vec<Stamp> = Vec::new();
-    for i in 0..count {
-        let step = reader.varint_up_to(MAX_TICK, "tick step")?;
-        let tick = stamps.last().map_or(0, |s| s.tick) + step;
-        if tick > MAX_TICK || (i > 0 && step == 0) {
-            return Err(reader.error(format!("tick {tick} does not follow the one before")));
-        }
-        let offset = unzigzag64(reader.varint()?);
-        let time = i128::from(tick) * i128::from(header.scan_period_nanos) + i128::from(offset);
-        let time_nanos = u64::try_from(time).ok().filter(|t| *t <= MAX_TIME_NANOS);
-        let time_nanos = time_nanos.ok_or_else(|| reader.error("a time out of range"))?;
-        if stamps.last().is_some_and(|s| s.time_nanos >= time_nanos) {
-            return Err(reader.error(format!("time {time_nanos} ns does not follow the one before")));
-        }
-        stamps.push(Stamp { tick, time_nanos });
-    }
-    if stamps.is_empty() { Err(reader.error("a group without scans")) } else { Ok(stamps) }
-}
-
 /// Reads a group.
 ///
 /// # Errors
 /// [`CodecError::Payload`] at the first byte that does not follow FORMAT.md, "Group".
 pub fn decode(header: &StreamHeader, bytes: &[u8]) -> Result<Group> {
     let mut reader = ByteReader::new(bytes, "group");
-    let stamps = take_stamps(header, &mut reader)?;
+    let stamps = take_stamps(&mut reader, header.scan_period_nanos)?;
     let before_tick = reader.varint_up_to(MAX_TICK + 1, "tick of the keyframe before")?.checked_sub(1);
     if before_tick.is_some_and(|t| t >= stamps[0].tick) {
         return Err(reader.error("the keyframe before does not lie before"));
     }
-    let mesh = surface::decode(&mut reader, header.position_step_mm)?;
+    let mesh = surface::decode(&mut reader, header.position_step_mm()?)?;
     let pairs = take_section(&mut reader, MAX_LANDMARK_BYTES, "landmarks")?;
     reader.finish()?;
     let landmarks = decode_landmarks(&pairs, mesh.triangles.len() as u64, before_tick)?;
@@ -193,11 +133,11 @@ mod tests {
     use crate::bits::connectivity::tests::random_disk;
 
     const HEADER: StreamHeader =
-        StreamHeader { mode: Mode::Seed, keyframe_interval: 10, scan_period_nanos: 33_333_333, position_step_mm: 0.05 };
+        StreamHeader { mode: Mode::Seed { position_step_mm: 0.05 }, keyframe_interval: 10, scan_period_nanos: 33_333_333 };
 
     fn example() -> Vec<u8> {
         let mesh = random_disk(&(0..30).map(|i: u16| i.wrapping_mul(7919)).collect::<Vec<u16>>());
-        let surface = surface::encode(&mesh, HEADER.position_step_mm, None).unwrap();
+        let surface = surface::encode(&mesh, 0.05, None).unwrap();
         let place = |t| Place { triangle: t, barycentric: [0.2, 0.4, 0.4] };
         let pairs = [LandmarkPair { before: place(70_000), here: place(3) }];
         let stamps = [Stamp { tick: 3, time_nanos: 100_000_123 }, Stamp { tick: 10, time_nanos: 333_333_333 }];

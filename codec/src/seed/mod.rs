@@ -12,7 +12,7 @@ mod surface;
 
 pub use encoder::{EncodedGroup, Encoder, EncoderConfig, Pushed};
 pub use flattened::Flattened;
-pub use group::{Group, LandmarkPair, Stamp, decode as decode_group, decode_stamps};
+pub use group::{Group, LandmarkPair, decode as decode_group};
 pub use interval::Interval;
 pub use landmarks::{GivenCounts, GivenLandmark, MAX_GIVEN_OFFSET_MM};
 pub use player::{Fetch, KNOT_REACH, Payloads, Player};

@@ -207,7 +207,11 @@ impl DisplacementModels {
         let s2 = 2 * s as isize;
         let s = s as isize;
         let same = at(-s2, 0) + at(0, -s2);
-        let coarse = if node.vertical { at(0, -s) + at(0, s) + at(-s, 0) } else { at(-s, 0) + at(s, 0) };
+        let coarse = match node {
+            Node { coarsest: true, .. } => at(-s, 0) + at(0, -s),
+            Node { vertical: true, .. } => at(0, -s) + at(0, s) + at(-s, 0),
+            _ => at(-s, 0) + at(s, 0),
+        };
         let class = match 2 * same + coarse {
             0 => 0,
             1 => 1,
@@ -327,7 +331,7 @@ mod tests {
             .map(|i| [(i % CONTROL_SIDE) as i32 * 40, (i / CONTROL_SIDE) as i32 * -41, (i * i % 17) as i32])
             .collect();
         let residuals = (0..GRID_SIDE * GRID_SIDE)
-            .map(|i| if on_disk(i % GRID_SIDE, i / GRID_SIDE) && i % 61 == 0 { (i % 9) as i32 - 4 } else { 0 })
+            .map(|i| if on_disk(i % GRID_SIDE, i / GRID_SIDE) && (i % 61 == 0 || i % 64 == i / GRID_SIDE % 64) { (i % 9) as i32 - 4 } else { 0 })
             .collect();
         let base = CodedBase { control_step: 64, control, displacement_step: 38, residuals };
         let mut out = RangeEncoder::default();

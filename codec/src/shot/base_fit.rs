@@ -45,18 +45,48 @@ impl Default for BaseOptions {
 pub fn fit_base(disk: &TriMesh, image: &ScanImage, view: &View, options: &BaseOptions) -> Result<CodedBase> {
     let map = disk_map(disk)?;
     let targets = targets(disk, &map.points);
-    let lattice = fit_control(&targets, options.bending)?;
-    let per_step = f64::from(UNITS_PER_MM) / f64::from(options.control_step);
-    let control: Nodes = lattice.iter().map(|c| (*c * per_step).to_array().map(|v| v.round() as i32)).collect();
+    let control = quantized_control(&fit_control(&targets, options.bending)?, options);
     let (surface, normals) = control_surface(&control, options.control_step);
-    let wanted = wanted_displacement(&surface, &normals, image, view);
-    let residuals = quantize(&smooth(&wanted), options);
-    Ok(CodedBase {
+    let wanted = wanted_displacement(&surface, &normals, image, &view.moved(image.window.offset));
+    Ok(coded(control, &smooth(&wanted), options))
+}
+
+/// Fits a base whose grid nodes stay the points that they are: `moved` is where the model before has them now, units; the
+/// surface is taken from `image` where it is seen, and kept elsewhere.
+///
+/// # Errors
+/// [`crate::CodecError::Mesh`] when the positions are degenerate.
+pub fn refit_base(moved: &[[i32; 3]], image: &ScanImage, view: &View, options: &BaseOptions) -> Result<CodedBase> {
+    let to_mm = |p: [i32; 3]| (DVec3::from_array(p.map(f64::from)) / f64::from(UNITS_PER_MM)).as_vec3();
+    let nodes =
+        (0..GRID_SIDE).step_by(SAMPLE_STRIDE).flat_map(|y| (0..GRID_SIDE).step_by(SAMPLE_STRIDE).map(move |x| (x, y)));
+    let targets: Vec<_> =
+        nodes.filter(|&(x, y)| on_disk(x, y)).map(|(x, y)| (x, y, to_mm(moved[y * GRID_SIDE + x]))).collect();
+    let control = quantized_control(&fit_control(&targets, options.bending)?, options);
+    let (surface, normals) = control_surface(&control, options.control_step);
+    let seen = smooth(&wanted_displacement(&surface, &normals, image, &view.moved(image.window.offset)));
+    let kept = |i: usize| {
+        let along: i64 =
+            (0..3).map(|c| i64::from(moved[i][c] - surface[i][c]) * i64::from(normals[i][c])).sum::<i64>();
+        along as f64 / f64::from(1 << DIRECTION_BITS)
+    };
+    let wanted: Vec<Option<f64>> = seen.iter().enumerate().map(|(i, d)| d.or_else(|| Some(kept(i)))).collect();
+    Ok(coded(control, &wanted, options))
+}
+
+fn quantized_control(lattice: &[DVec3], options: &BaseOptions) -> Nodes {
+    let per_step = f64::from(UNITS_PER_MM) / f64::from(options.control_step);
+    lattice.iter().map(|c| (*c * per_step).to_array().map(|v| v.round() as i32)).collect()
+}
+
+fn coded(control: Nodes, wanted: &[Option<f64>], options: &BaseOptions) -> CodedBase {
+    let residuals = quantize(wanted, options);
+    CodedBase {
         control_step: options.control_step,
         control,
         displacement_step: options.displacement_step,
         residuals,
-    })
+    }
 }
 
 fn place(x: usize, y: usize) -> DVec2 {

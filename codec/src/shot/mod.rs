@@ -2,22 +2,33 @@
 //!
 //! Everything that something else is predicted from is an integer: lengths in units of 1/256 mm, pixels in 1/256 px.
 
+pub mod as_scan;
 pub mod base;
 pub mod base_fit;
 pub mod bisection;
 pub mod block_transform;
+pub mod camera;
 pub mod carry;
 pub mod descent;
+pub mod encoder;
 pub mod fit;
 pub mod frames;
+pub mod group;
 pub mod lattice;
 pub mod mask;
+pub mod model;
 pub mod motion;
 pub mod motion_code;
+pub mod order;
+pub mod outliers;
 pub mod patches;
 pub mod pose;
 pub mod raster;
+pub mod register;
+pub mod scan_code;
 pub mod scan_image;
+pub mod seen_scan;
+pub mod steps;
 pub mod view;
 
 /// Integer units of length a millimetre.

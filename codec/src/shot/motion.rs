@@ -3,7 +3,7 @@
 use super::base::Base;
 use super::bisection::Connectivity;
 use super::lattice::{FINE_SIDE, GRID_SIDE, Nodes, evaluate};
-use super::pose::Pose;
+use super::pose::{MAX_SHIFT, MAX_TURN, Pose};
 
 /// Fraction bits of lattice nodes below a unit.
 pub const NODE_BITS: u32 = 4;
@@ -23,7 +23,24 @@ impl Default for Motion {
     }
 }
 
+/// Farthest node, 1/16 units: 16 m.
+const MAX_NODE: i32 = 1 << 26;
+
 impl Motion {
+    /// True when no later step overflows.
+    pub fn in_range(&self) -> bool {
+        let within = |v: &[i32; 3], most: i32| v.iter().all(|c| (-most..=most).contains(c));
+        within(&self.pose.turn, MAX_TURN)
+            && within(&self.pose.shift, MAX_SHIFT)
+            && self.nodes.iter().all(|n| within(n, MAX_NODE))
+    }
+
+    /// All grid nodes of a base moved, units.
+    pub fn grid_positions(&self, base: &Base) -> Vec<[i32; 3]> {
+        let all = Connectivity { nodes: (0..(GRID_SIDE * GRID_SIDE) as u32).collect(), triangles: Vec::new() };
+        self.positions(base, &all)
+    }
+
     /// The base's vertices moved, units.
     pub fn positions(&self, base: &Base, connectivity: &Connectivity) -> Vec<[i32; 3]> {
         let shift = evaluate(&self.nodes);

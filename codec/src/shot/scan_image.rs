@@ -1,6 +1,7 @@
 //! A scan as its camera saw it: a depth for each pixel.
 
 use super::UNITS_PER_MM;
+use super::model::Window;
 use super::raster::{DepthPicture, NOTHING};
 use super::view::{BackProjection, PX_BITS, Seen, View};
 use crate::Scan;
@@ -12,10 +13,8 @@ const CENTRE_TOLERANCE: i32 = 16;
 /// Depths of a scan on the pixels of a view.
 #[derive(Debug, Clone)]
 pub struct ScanImage {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
+    /// Its pixels.
+    pub window: Window,
     /// Depth in units, [`NOTHING`] off the surface.
     pub depth: Vec<i32>,
     back: BackProjection,
@@ -32,7 +31,8 @@ pub struct Sample {
 
 impl ScanImage {
     /// Draws a scan. A mesh whose vertices lie on pixel centres, as a scanner's do, is taken over pixel by pixel.
-    pub fn new(scan: &Scan, view: &View, width: usize, height: usize) -> Self {
+    pub fn new(scan: &Scan, view: &View, window: Window) -> Self {
+        let (view, Window { width, height, .. }) = (view.moved(window.offset), window);
         let to_units = |v: f32| (f64::from(v) * f64::from(UNITS_PER_MM)).round() as i32;
         let seen: Vec<Option<Seen>> =
             scan.mesh.positions_mm.iter().map(|p| view.project(p.to_array().map(to_units))).collect();
@@ -45,13 +45,67 @@ impl ScanImage {
             }
             picture.depth
         });
-        Self { width, height, depth, back: view.back_projection() }
+        Self { window, depth, back: view.back_projection() }
     }
 
     /// Depth of a pixel, `None` off the picture or the surface.
     pub fn at(&self, x: i32, y: i32) -> Option<i32> {
-        let inside = x >= 0 && y >= 0 && (x as usize) < self.width && (y as usize) < self.height;
-        inside.then(|| self.depth[y as usize * self.width + x as usize]).filter(|d| *d != NOTHING)
+        let inside = x >= 0 && y >= 0 && (x as usize) < self.window.width && (y as usize) < self.window.height;
+        inside.then(|| self.depth[y as usize * self.window.width + x as usize]).filter(|d| *d != NOTHING)
+    }
+
+    /// Which pixels are on the surface.
+    pub fn mask(&self) -> Vec<bool> {
+        self.depth.iter().map(|d| *d != NOTHING).collect()
+    }
+
+    /// Squared cosine between the viewing direction and the normal at each pixel, which turns squared depth into squared
+    /// distance; that of 45 degrees a direction where a neighbour is missing.
+    pub fn across(&self) -> Vec<f32> {
+        let Window { width, height, .. } = self.window;
+        let pitch = self.pitch();
+        let slope = |a: usize, b: usize| match (self.depth[a], self.depth[b]) {
+            (NOTHING, _) | (_, NOTHING) => 1.0,
+            (a, b) => (b - a) as f32 / (2.0 * pitch),
+        };
+        let mut out = vec![0.5; self.depth.len()];
+        for y in 1..height.saturating_sub(1) {
+            for i in y * width + 1..y * width + width - 1 {
+                if self.depth[i] != NOTHING {
+                    let (x, y) = (slope(i - 1, i + 1), slope(i - width, i + width));
+                    out[i] = 1.0 / (1.0 + x * x + y * y);
+                }
+            }
+        }
+        out
+    }
+
+    /// Distance of neighbouring pixels on the surface, units.
+    fn pitch(&self) -> f32 {
+        let Some(middle) = (0..self.depth.len()).filter(|i| self.depth[*i] != NOTHING).nth(self.area() / 2) else {
+            return UNITS_PER_MM as f32;
+        };
+        let (x, y) = ((middle % self.window.width) as f64, (middle / self.window.width) as f64);
+        let at = |x: f64| self.back.point_mm(x, y, f64::from(self.depth[middle]));
+        ((at(x + 1.0) - at(x)).length() * f64::from(UNITS_PER_MM)).max(1e-3) as f32
+    }
+
+    /// The largest depth step along an edge of the scan, units: neighbours farther apart are not joined.
+    pub fn edge_step(&self, scan: &Scan) -> i32 {
+        let depth: Vec<f64> = scan.mesh.positions_mm.iter().map(|p| self.back.depth_of(p.as_dvec3())).collect();
+        let mut steps: Vec<f64> = scan.mesh.triangles.iter().map(|t| {
+            let d = t.map(|v| depth[v as usize]);
+            d.iter().copied().fold(f64::MIN, f64::max) - d.iter().copied().fold(f64::MAX, f64::min)
+        }).collect();
+        steps.sort_by(f64::total_cmp);
+        // A few triangles of a mended mesh may be longer than any of the scanner's.
+        let step = steps.get(steps.len().saturating_sub(1 + steps.len() / 2000)).copied().unwrap_or(0.0);
+        (step.ceil() as i32 + UNITS_PER_MM / 4).clamp(1, 1 << 20)
+    }
+
+    /// Pixels on the surface.
+    pub fn area(&self) -> usize {
+        self.depth.iter().filter(|d| **d != NOTHING).count()
     }
 
     /// Bilinear depth (units) at a position in 1/256 px; `None` unless all four pixels are on the surface within

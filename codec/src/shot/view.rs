@@ -11,6 +11,10 @@ const AXIS_BITS: u32 = 14;
 /// Bits of the homogeneous divisor at the middle of the surface.
 const DIVISOR_BITS: u32 = 34;
 
+/// Largest factors of coordinates and constants of the first two rows and of the last one: no product overflows for points
+/// within 2^24.3 units and pixels moved by up to 2^20 / 256.
+const LIMITS: [[u64; 2]; 3] = [[1 << 33, 1 << 60], [1 << 33, 1 << 60], [1 << 22, 1 << 44]];
+
 /// Projection `(x, y) = (row0 X / row2 X, row1 X / row2 X)` of points in units, and depth `axis X`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct View {
@@ -29,6 +33,11 @@ pub struct Seen {
     pub y: i32,
     /// Along the viewing axis.
     pub depth: i32,
+}
+
+impl Seen {
+    /// What lies behind the camera or far outside any picture: no triangle with this corner is drawn.
+    pub const NOWHERE: Self = Self { x: 1 << 25, y: 1 << 25, depth: 0 };
 }
 
 impl View {
@@ -50,14 +59,20 @@ impl View {
         let mut rows = [[0; 4]; 3];
         for (r, out) in rows.iter_mut().enumerate() {
             for c in 0..4 {
-                let v = m[4 * r + c] * scale / if c < 3 { units } else { 1.0 };
-                if !(v.abs() < 2f64.powi(50)) {
-                    return Err(CodecError::Mesh("the camera of the scan is out of range".into()));
-                }
-                out[c] = v.round() as i64;
+                // Numbers too large saturate, and are then out of range.
+                out[c] = (m[4 * r + c] * scale / if c < 3 { units } else { 1.0 }).round() as i64;
             }
         }
-        Ok(Self { rows, axis: axis.to_array().map(|a| (a * f64::from(1 << AXIS_BITS)).round() as i64) })
+        let view = Self { rows, axis: axis.to_array().map(|a| (a * f64::from(1 << AXIS_BITS)).round() as i64) };
+        if view.in_range() { Ok(view) } else { Err(CodecError::Mesh("the camera of the scan is out of range".into())) }
+    }
+
+    /// True when no later product overflows.
+    pub fn in_range(&self) -> bool {
+        let small = |(row, [slope, constant]): (&[i64; 4], [u64; 2])| {
+            row[..3].iter().all(|v| v.unsigned_abs() < slope) && row[3].unsigned_abs() < constant
+        };
+        self.rows.iter().zip(LIMITS).all(small) && self.axis.iter().all(|a| a.unsigned_abs() <= 1 << (AXIS_BITS + 1))
     }
 
     /// Where a point (units) is seen; `None` behind the camera or far outside any picture.
@@ -74,6 +89,17 @@ impl View {
         }
         let depth = (self.axis[0] * p[0] + self.axis[1] * p[1] + self.axis[2] * p[2]) >> AXIS_BITS;
         Some(Seen { x: x as i32, y: y as i32, depth: depth as i32 })
+    }
+
+    /// The view whose pixels count from a first pixel that lies `offset` (1/256 px) before this one's.
+    pub fn moved(&self, offset: [i32; 2]) -> Self {
+        let mut rows = self.rows;
+        for (row, by) in rows.iter_mut().zip(offset) {
+            for (v, last) in row.iter_mut().zip(&self.rows[2]) {
+                *v += ((i128::from(*last) * i128::from(by)) >> PX_BITS) as i64;
+            }
+        }
+        Self { rows, axis: self.axis }
     }
 
     /// Turns what is seen back into points, mm.
@@ -97,6 +123,11 @@ pub struct BackProjection {
 }
 
 impl BackProjection {
+    /// Depth (units) of a point in mm.
+    pub fn depth_of(&self, point_mm: DVec3) -> f64 {
+        self.axis.dot(point_mm) * f64::from(super::UNITS_PER_MM)
+    }
+
     /// The point (mm) seen at (x, y) px at a depth in units.
     pub fn point_mm(&self, x_px: f64, y_px: f64, depth: f64) -> DVec3 {
         let a = self.rows[0] - self.rows[2] * x_px;

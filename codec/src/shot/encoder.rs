@@ -1,0 +1,341 @@
+//! Encoder of the default mode: scans in, a group out whenever a keyframe closes it.
+
+use super::base_fit::{BaseOptions, fit_base, refit_base};
+use super::camera::ShotCamera;
+use super::group::{self, Chain, MAX_GROUP_PIXELS, MAX_SCANS, NewBase, Start};
+use super::model::Model;
+use super::motion::Motion;
+use super::motion_code::Correction;
+use super::order::{Decoded, coding_order};
+use super::register::{RegisterOptions, Registered, register};
+use super::scan_code::{self, Context, Fidelity, ScanModels, Spent};
+use super::scan_image::ScanImage;
+use super::seen_scan::SeenScan;
+use super::steps::Steps;
+use crate::bits::range_coder::RangeEncoder;
+use crate::mesh::repair::{RepairOptions, RepairReport, to_disk};
+use crate::mesh::simplify::{SimplifyOptions, simplify};
+use crate::{CodecError, Result, Scan, Stamp, StreamHeader};
+use std::sync::Arc;
+
+/// Vertices of the disk that a base is mapped from.
+const BASE_VERTICES: usize = 20_000;
+/// A registration that matches less of the model than this has lost it.
+const MIN_MATCHED: f64 = 0.5;
+
+/// What the encoder may be told.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ShotConfig {
+    /// Written before the first group.
+    pub header: StreamHeader,
+    /// Steps, as in the header.
+    pub steps: Steps,
+    /// Error that is worth correcting, mm.
+    pub tolerance_mm: f64,
+    /// Farthest that any pixel of a scan may be off, mm.
+    pub max_error_mm: Option<f64>,
+    /// Groups from one refresh to the next.
+    pub refresh_groups: u32,
+    /// How scans become disks.
+    pub repair: RepairOptions,
+}
+
+/// Trade-offs that follow from a tolerance.
+#[derive(Debug, Clone, Copy)]
+struct Tradeoff {
+    key: Fidelity,
+    between: Fidelity,
+    register: RegisterOptions,
+}
+
+impl ShotConfig {
+    fn tradeoff(&self) -> Tradeoff {
+        let units = f64::from(super::UNITS_PER_MM);
+        let tolerance2 = self.tolerance_mm * self.tolerance_mm;
+        let bound = self.max_error_mm.map(|mm| (mm * units) as i32);
+        let env = |n: &str, d: f64| std::env::var(n).ok().and_then(|v| v.parse().ok()).unwrap_or(d);
+        let fidelity = |factor: f64| Fidelity { patch_lambda: (factor * tolerance2 * units * units) as f32, bound };
+        let register = RegisterOptions {
+            lambda: env("LM", 0.3) * tolerance2,
+            pull: env("PULL", 0.001) as f32,
+            bending: env("BEND", 0.001) as f32,
+            stride: env("STRIDE", 3.0) as usize,
+            rounds: 2,
+        };
+        Tradeoff { key: fidelity(env("LK", 5.0)), between: fidelity(env("LB", 25.0)), register }
+    }
+}
+
+/// What a group cost, by part.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct GroupCost {
+    /// Bytes of the base, if one was sent.
+    pub base: usize,
+    /// Of the keyframe.
+    pub key: Spent,
+    /// Of the scans between.
+    pub between: Spent,
+}
+
+/// A scan that waits for the keyframe that closes its group.
+struct Pending {
+    stamp: Stamp,
+    image: ScanImage,
+}
+
+/// A closed group.
+#[derive(Debug, Clone)]
+pub struct CodedGroup {
+    /// Stamps of its scans.
+    pub stamps: Vec<Stamp>,
+    /// Payload "group".
+    pub geometry: Vec<u8>,
+    /// What it cost.
+    pub cost: GroupCost,
+    /// How it begins.
+    pub start: Start,
+    /// dbg
+    pub new_base: Option<NewBase>,
+}
+
+/// What became of a scan.
+#[derive(Debug, Default)]
+pub struct Pushed {
+    /// The group that it closed.
+    pub group: Option<CodedGroup>,
+    /// What had to be mended before it could begin a shot.
+    pub repair: Option<RepairReport>,
+    /// Why a keyframe was due but this scan could not be one.
+    pub not_key: Option<CodecError>,
+}
+
+/// Encoder of one run.
+pub struct Encoder {
+    config: ShotConfig,
+    camera: Option<ShotCamera>,
+    chain: Option<Chain>,
+    groups_since_base: u32,
+    pending: Vec<Pending>,
+    last: Option<Scan>,
+    last_stamp: Option<Stamp>,
+    next_key_tick: u64,
+}
+
+/// A coded keyframe and the chain after it.
+struct CodedKey {
+    start: Start,
+    new_base: Option<NewBase>,
+    /// Where the model before is at this keyframe, when a refresh replaces it.
+    bridge: Option<Correction>,
+    bytes: Vec<u8>,
+    spent: Spent,
+    chain: Chain,
+    repair: Option<RepairReport>,
+}
+
+impl Encoder {
+    /// An encoder that has seen nothing.
+    ///
+    /// # Errors
+    /// [`CodecError::Stream`] naming a setting out of range.
+    pub fn new(config: ShotConfig) -> Result<Self> {
+        config.header.validate()?;
+        Ok(Self {
+            config,
+            camera: None,
+            chain: None,
+            groups_since_base: 0,
+            pending: Vec::new(),
+            last: None,
+            last_stamp: None,
+            next_key_tick: 0,
+        })
+    }
+
+    /// Takes the next scan.
+    ///
+    /// # Errors
+    /// [`CodecError::Stream`] when its tick does not follow, [`CodecError::Mesh`] when it cannot be seen.
+    pub fn push(&mut self, scan: Scan) -> Result<Pushed> {
+        let stamp = Stamp { tick: scan.tick, time_nanos: scan.time_nanos };
+        if self.last_stamp.is_some_and(|l| stamp.tick <= l.tick || stamp.time_nanos <= l.time_nanos) {
+            return Err(CodecError::Stream(format!("scan at tick {} does not follow the one before it", scan.tick)));
+        }
+        scan.mesh.validate()?;
+        let seen = self.camera.and_then(|c| Some((c, c.window(&scan)?)));
+        let due = seen.is_none() || stamp.tick >= self.next_key_tick || self.is_full();
+        let mut pushed = Pushed::default();
+        if due {
+            match self.code_key(&scan, stamp) {
+                Ok(key) => {
+                    pushed.repair = key.repair.clone().filter(RepairReport::has_damage);
+                    pushed.group = Some(self.close_group(stamp, key)?);
+                    self.last = None;
+                    self.last_stamp = Some(stamp);
+                    return Ok(pushed);
+                }
+                Err(error) if seen.is_none() => return Err(error),
+                Err(error) => pushed.not_key = Some(error),
+            }
+        }
+        if let Some((camera, window)) = seen {
+            self.pending.push(Pending { stamp, image: ScanImage::new(&scan, &camera.view, window) });
+            self.last = Some(scan);
+            self.last_stamp = Some(stamp);
+        }
+        Ok(pushed)
+    }
+
+    /// Ends the run: the last scan becomes a keyframe if it is none yet.
+    ///
+    /// # Errors
+    /// [`CodecError::Mesh`] when that scan cannot be a keyframe.
+    pub fn finish(mut self) -> Result<Option<CodedGroup>> {
+        let (Some(scan), Some(_)) = (self.last.take(), self.pending.pop()) else { return Ok(None) };
+        let stamp = Stamp { tick: scan.tick, time_nanos: scan.time_nanos };
+        let key = self.code_key(&scan, stamp)?;
+        self.close_group(stamp, key).map(Some)
+    }
+
+    fn is_full(&self) -> bool {
+        let pixels: usize = self.pending.iter().map(|p| p.image.depth.len()).sum();
+        let most = self.pending.iter().map(|p| p.image.depth.len()).max().unwrap_or(0);
+        self.pending.len() + 2 >= MAX_SCANS || pixels + 2 * most > MAX_GROUP_PIXELS
+    }
+
+    /// The keyframe as the shot goes on, or with a new base where it must.
+    fn code_key(&mut self, scan: &Scan, stamp: Stamp) -> Result<CodedKey> {
+        let seen = self.camera.and_then(|c| Some((c, c.window(scan)?)));
+        if let (Some((camera, window)), Some(chain)) = (seen, self.chain.clone()) {
+            let image = ScanImage::new(scan, &camera.view, window);
+            let predicted = chain.keys.predict(stamp.tick)?.unwrap_or_default();
+            let found = self.register(&chain.model, &predicted, &image);
+            if found.matched >= MIN_MATCHED {
+                if self.groups_since_base < self.config.refresh_groups {
+                    return Ok(self.continued(stamp, &image, chain, &predicted, &found.correction));
+                }
+                return self.refreshed(stamp, &image, &chain, &predicted, found.correction);
+            }
+        }
+        self.begun(scan, stamp)
+    }
+
+    fn register(&self, model: &Model, predicted: &Motion, image: &ScanImage) -> Registered {
+        register(model, predicted, image, &self.config.steps.motion, &self.config.tradeoff().register)
+    }
+
+    fn continued(
+        &self,
+        stamp: Stamp,
+        image: &ScanImage,
+        chain: Chain,
+        predicted: &Motion,
+        correction: &Correction,
+    ) -> CodedKey {
+        let references = chain.keys.references(stamp.tick);
+        let context =
+            Context { model: &chain.model, steps: &self.config.steps, predicted, references: &references };
+        let mut models = chain.models.clone();
+        let mut out = RangeEncoder::default();
+        let fidelity = self.config.tradeoff().key;
+        let (scan, spent) = scan_code::encode(context, correction, image, fidelity, (&mut out, &mut models));
+        let chain = Chain { models, ..chain }.advance(stamp.tick, Arc::new(scan));
+        let bytes = group::finish(out);
+        CodedKey { start: Start::Continues, new_base: None, bridge: None, bytes, spent, chain, repair: None }
+    }
+
+    fn refreshed(
+        &self,
+        stamp: Stamp,
+        image: &ScanImage,
+        chain: &Chain,
+        predicted: &Motion,
+        bridge: Correction,
+    ) -> Result<CodedKey> {
+        let motion = bridge.apply(predicted, &chain.model.frames, &self.config.steps.motion);
+        let moved = motion.grid_positions(&chain.model.base);
+        let base = refit_base(&moved, image, &chain.model.view, &self.base_options())?;
+        let new = NewBase { view: chain.model.view, edge_step: chain.model.edge_step, base };
+        let key = self.with_base(stamp, image, Start::Refreshes, new);
+        Ok(CodedKey { bridge: Some(bridge), ..key })
+    }
+
+    fn begun(&mut self, scan: &Scan, stamp: Stamp) -> Result<CodedKey> {
+        let camera = ShotCamera::of(scan)?;
+        let window = camera.window(scan).ok_or_else(|| CodecError::Mesh("its camera does not see it".into()))?;
+        let image = ScanImage::new(scan, &camera.view, window);
+        let (disk, report) = to_disk(&scan.mesh, &self.config.repair)?;
+        let (small, _) = simplify(&disk, BASE_VERTICES, &SimplifyOptions::default())?;
+        let base = fit_base(&small, &image, &camera.view, &self.base_options())?;
+        let new = NewBase { view: camera.view, edge_step: image.edge_step(scan), base };
+        let key = self.with_base(stamp, &image, Start::Begins, new);
+        self.camera = Some(camera);
+        Ok(CodedKey { repair: Some(report), ..key })
+    }
+
+    fn with_base(&self, stamp: Stamp, image: &ScanImage, start: Start, new: NewBase) -> CodedKey {
+        let model = Arc::new(Model::new(&new, self.config.steps.flat));
+        let chain =
+            Chain { model, key_tick: stamp.tick, keys: Decoded::default(), models: ScanModels::default() };
+        let predicted = Motion::default();
+        let found = self.register(&chain.model, &predicted, image);
+        let key = self.continued(stamp, image, chain, &predicted, &found.correction);
+        CodedKey { start, new_base: Some(new), ..key }
+    }
+
+    fn base_options(&self) -> BaseOptions {
+        let steps = &self.config.steps;
+        BaseOptions { control_step: steps.control, displacement_step: steps.displacement, ..BaseOptions::default() }
+    }
+
+    fn close_group(&mut self, stamp: Stamp, key: CodedKey) -> Result<CodedGroup> {
+        let pending = std::mem::take(&mut self.pending);
+        let (between, spent) = self.code_between(&pending, stamp, &key)?;
+        let stamps: Vec<Stamp> = pending.iter().map(|p| p.stamp).chain([stamp]).collect();
+        let head = (key.start, key.new_base.as_ref());
+        let geometry = group::write(&self.config.header, &stamps, head, &key.bytes, &between)?;
+        let base = key.new_base.as_ref().map_or(0, |_| geometry.len() - key.bytes.len() - between.len());
+        let cost = GroupCost { base, key: key.spent, between: spent };
+        self.groups_since_base = if key.start == Start::Continues { self.groups_since_base + 1 } else { 1 };
+        self.chain = Some(key.chain);
+        let interval = u64::from(self.config.header.keyframe_interval);
+        self.next_key_tick = (stamp.tick / interval + 1) * interval;
+        Ok(CodedGroup { stamps, geometry, cost, start: key.start, new_base: key.new_base })
+    }
+
+    /// The scans before a keyframe, as [`group::Parts::decode_between`] reads them.
+    fn code_between(&self, pending: &[Pending], stamp: Stamp, key: &CodedKey) -> Result<(Vec<u8>, Spent)> {
+        let mut total = Spent::default();
+        let (Some(before), false) = (&self.chain, pending.is_empty()) else { return Ok((Vec::new(), total)) };
+        let mut out = RangeEncoder::default();
+        let mut models = key.chain.models.clone();
+        let mut decoded = before.keys.clone();
+        let coded_key = &key.chain.keys.scans[&stamp.tick];
+        let steps = &self.config.steps;
+        let mut end_tick = Some(stamp.tick);
+        match (key.start, &key.bridge) {
+            (Start::Continues, _) => decoded.insert(stamp.tick, Arc::clone(coded_key)),
+            (Start::Refreshes, Some(bridge)) => {
+                let predicted = decoded.predict(stamp.tick)?.unwrap_or_default();
+                bridge.encode(&mut out, models.motion());
+                let motion = bridge.apply(&predicted, &before.model.frames, &steps.motion);
+                decoded.insert(stamp.tick, Arc::new(coded_key.against(&before.model, &motion)));
+            }
+            _ => end_tick = None,
+        }
+        let ticks: Vec<u64> = pending.iter().map(|p| p.stamp.tick).collect();
+        for i in coding_order(&ticks, before.key_tick, end_tick) {
+            let predicted = decoded.predict(ticks[i])?.unwrap_or_default();
+            let references = decoded.references(ticks[i]);
+            let context = Context { model: &before.model, steps, predicted: &predicted, references: &references };
+            let found = self.register(&before.model, &predicted, &pending[i].image);
+            let coder = (&mut out, &mut models);
+            let fidelity = self.config.tradeoff().between;
+            let (scan, spent): (SeenScan, Spent) =
+                scan_code::encode(context, &found.correction, &pending[i].image, fidelity, coder);
+            total = total + spent;
+            decoded.insert(ticks[i], Arc::new(scan));
+        }
+        Ok((group::finish(out), total))
+    }
+}

@@ -1,0 +1,292 @@
+//! Group payload of the default mode: a keyframe, then the scans before it.
+
+use super::base::CodedBase;
+use super::model::Model;
+use super::motion::Motion;
+use super::motion_code::Correction;
+use super::order::{Decoded, coding_order};
+use super::scan_code::{self, Context, ScanModels};
+use super::seen_scan::SeenScan;
+use super::steps::Steps;
+use super::view::View;
+use crate::bits::bytes::{ByteReader, put_varint, unzigzag64, zigzag64};
+use crate::bits::range_coder::{RangeDecoder, RangeEncoder};
+use crate::stamps::{Stamp, put_stamps, take_stamps};
+use crate::{Result, StreamHeader};
+use std::sync::Arc;
+
+/// Most scans of a group.
+pub const MAX_SCANS: usize = 256;
+/// Most pixels of all scans of a group.
+pub const MAX_GROUP_PIXELS: usize = 1 << 24;
+/// Longest range-coded section: many times what any real group needs.
+const MAX_SECTION: u64 = 1 << 24;
+/// Ends each range-coded section, so that one cut short does not pass for whole.
+const END_MARK: u32 = 0xa5;
+
+/// What a group begins with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Start {
+    /// The model of the group before goes on.
+    Continues,
+    /// A new base for the same points of the surface: grid nodes keep their meaning.
+    Refreshes,
+    /// A new base whose grid nodes mean something else.
+    Begins,
+}
+
+/// A new base as it is sent.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NewBase {
+    /// Camera.
+    pub view: View,
+    /// Neighbouring pixels whose depths differ by more than this are not joined, units.
+    pub edge_step: i32,
+    /// Surface.
+    pub base: CodedBase,
+}
+
+/// What later groups are decoded from.
+#[derive(Debug, Clone)]
+pub struct Chain {
+    /// Surface that the last keyframe moved.
+    pub model: Arc<Model>,
+    /// Tick of the last keyframe.
+    pub key_tick: u64,
+    /// The last keyframes that share the model.
+    pub keys: Decoded,
+    /// What the coder of keyframes has learned.
+    pub models: ScanModels,
+}
+
+/// Keyframes that are remembered: knots of predictions.
+const KEYS: usize = 2;
+
+impl Chain {
+    /// The chain after a keyframe.
+    pub fn advance(mut self, tick: u64, scan: Arc<SeenScan>) -> Self {
+        self.key_tick = tick;
+        self.keys.insert(tick, scan);
+        while self.keys.motions.len() > KEYS {
+            self.keys.motions.pop_first();
+        }
+        while self.keys.scans.len() > 1 {
+            self.keys.scans.pop_first();
+        }
+        self
+    }
+}
+
+/// A group taken apart, its range-coded sections not yet decoded.
+#[derive(Debug, Clone)]
+pub struct Parts<'a> {
+    /// Scans of the group; the last is the keyframe.
+    pub stamps: Vec<Stamp>,
+    /// How it begins.
+    pub start: Start,
+    /// Camera and edge step where a base is sent.
+    head: Option<(View, i32)>,
+    base: &'a [u8],
+    key: &'a [u8],
+    between: &'a [u8],
+}
+
+impl<'a> Parts<'a> {
+    /// Takes a payload apart.
+    ///
+    /// # Errors
+    /// [`crate::CodecError::Payload`] at the first byte that does not follow FORMAT.md, "Group of shots".
+    pub fn read(header: &StreamHeader, bytes: &'a [u8]) -> Result<Self> {
+        let mut reader = ByteReader::new(bytes, "group");
+        let stamps = take_stamps(&mut reader, header.scan_period_nanos)?;
+        if stamps.len() > MAX_SCANS {
+            return Err(reader.error(format!("{} scans, at most {MAX_SCANS} are allowed", stamps.len())));
+        }
+        let start = match reader.u8()? {
+            0 => Start::Continues,
+            1 => Start::Refreshes,
+            2 => Start::Begins,
+            other => return Err(reader.error(format!("start {other}; 0 to 2 are defined"))),
+        };
+        let (mut head, mut base) = (None, &[][..]);
+        if start != Start::Continues {
+            let view = take_view(&mut reader)?;
+            head = Some((view, reader.varint_up_to(1 << 24, "edge step")? as i32));
+            base = take_section(&mut reader, "base length")?;
+        }
+        let key = take_section(&mut reader, "keyframe length")?;
+        let between = take_section(&mut reader, "length of the scans between")?;
+        reader.finish()?;
+        if stamps.len() == 1 && !between.is_empty() {
+            return Err(ByteReader::new(between, "between").error("bytes for scans between, of which there are none"));
+        }
+        Ok(Self { stamps, start, head, base, key, between })
+    }
+
+    /// Stamp of the keyframe.
+    pub fn key_stamp(&self) -> Stamp {
+        self.stamps[self.stamps.len() - 1]
+    }
+
+    /// Decodes the keyframe. `before` is needed by groups that do not begin or refresh a shot.
+    ///
+    /// # Errors
+    /// [`crate::CodecError`] when bytes do not fit, or the chain is missing.
+    pub fn decode_key(&self, steps: &Steps, before: Option<&Chain>) -> Result<Chain> {
+        let tick = self.key_stamp().tick;
+        let chain = match (self.head, before) {
+            (None, Some(before)) if before.key_tick < self.stamps[0].tick => before.clone(),
+            (None, _) => return Err(ByteReader::new(&[], "group").error("it continues a shot that is not there")),
+            (Some((view, edge_step)), _) => {
+                let mut reader = RangeDecoder::new(self.base, "base");
+                let base = CodedBase::decode(&mut reader, steps.control, steps.displacement)?;
+                end(reader)?;
+                let model = Model::new(&NewBase { view, edge_step, base }, steps.flat);
+                let models = ScanModels::default();
+                Chain { model: Arc::new(model), key_tick: tick, keys: Decoded::default(), models }
+            }
+        };
+        let mut reader = RangeDecoder::new(self.key, "keyframe");
+        let mut models = chain.models.clone();
+        let predicted = chain.keys.predict(tick)?.unwrap_or_default();
+        let references = chain.keys.references(tick);
+        let context = Context { model: &chain.model, steps, predicted: &predicted, references: &references };
+        let scan = scan_code::decode(context, (&mut reader, &mut models))?;
+        end(reader)?;
+        Ok(Chain { models, ..chain }.advance(tick, Arc::new(scan)))
+    }
+
+    /// Decodes the scans between, in time order; `before` and `after` are the chains at the keyframes around them. Also
+    /// gives the model that they move.
+    ///
+    /// # Errors
+    /// [`crate::CodecError`] when bytes do not fit, or the chain is missing.
+    pub fn decode_between(
+        &self,
+        steps: &Steps,
+        before: Option<&Chain>,
+        after: &Chain,
+    ) -> Result<Vec<(Stamp, Arc<SeenScan>)>> {
+        let stamps = &self.stamps[..self.stamps.len() - 1];
+        if stamps.is_empty() {
+            return Ok(Vec::new());
+        }
+        let missing = || ByteReader::new(&[], "group").error("its scans follow a keyframe that is not there");
+        let before = before.filter(|b| b.key_tick < stamps[0].tick).ok_or_else(missing)?;
+        let mut reader = RangeDecoder::new(self.between, "between");
+        let mut models = after.models.clone();
+        let mut decoded = before.keys.clone();
+        let key_tick = self.key_stamp().tick;
+        let key = &after.keys.scans[&key_tick];
+        let bridge = match self.start {
+            Start::Continues => Some(Arc::clone(key)),
+            Start::Begins => None,
+            Start::Refreshes => {
+                let predicted = decoded.predict(key_tick)?.unwrap_or_default();
+                let motion = decode_motion(&mut reader, &mut models, &predicted, before, steps)?;
+                Some(Arc::new(key.against(&before.model, &motion)))
+            }
+        };
+        let end_tick = bridge.as_ref().map(|_| key_tick);
+        if let Some(bridge) = bridge {
+            decoded.insert(key_tick, bridge);
+        }
+        let ticks: Vec<u64> = stamps.iter().map(|s| s.tick).collect();
+        let mut pixels = 0;
+        let mut scans: Vec<Option<Arc<SeenScan>>> = vec![None; stamps.len()];
+        for i in coding_order(&ticks, before.key_tick, end_tick) {
+            let predicted = decoded.predict(ticks[i])?.unwrap_or_default();
+            let references = decoded.references(ticks[i]);
+            let context = Context { model: &before.model, steps, predicted: &predicted, references: &references };
+            let scan = Arc::new(scan_code::decode(context, (&mut reader, &mut models))?);
+            pixels += scan.mask.len();
+            if pixels > MAX_GROUP_PIXELS {
+                return Err(reader.error(format!("more than {MAX_GROUP_PIXELS} pixels in a group")));
+            }
+            decoded.insert(ticks[i], Arc::clone(&scan));
+            scans[i] = Some(scan);
+        }
+        end(reader)?;
+        Ok(stamps.iter().copied().zip(scans.into_iter().flatten()).collect())
+    }
+}
+
+fn decode_motion(
+    reader: &mut RangeDecoder<'_>,
+    models: &mut ScanModels,
+    predicted: &Motion,
+    before: &Chain,
+    steps: &Steps,
+) -> Result<Motion> {
+    let correction = Correction::decode(reader, models.motion())?;
+    let motion = correction.apply(predicted, &before.model.frames, &steps.motion);
+    if motion.in_range() { Ok(motion) } else { Err(reader.error("a motion out of range")) }
+}
+
+/// The payload of a group from its range-coded sections.
+///
+/// # Errors
+/// [`crate::CodecError::Stream`] for stamps that cannot be coded.
+pub fn write(
+    header: &StreamHeader,
+    stamps: &[Stamp],
+    (start, new_base): (Start, Option<&NewBase>),
+    key: &[u8],
+    between: &[u8],
+) -> Result<Vec<u8>> {
+    crate::stamps::check_stamps(stamps)?;
+    let mut out = Vec::new();
+    put_stamps(&mut out, stamps, header.scan_period_nanos)?;
+    out.push(match start {
+        Start::Continues => 0,
+        Start::Refreshes => 1,
+        Start::Begins => 2,
+    });
+    if let Some(new) = new_base {
+        put_view(&mut out, &new.view);
+        put_varint(&mut out, new.edge_step as u64);
+        let mut base = RangeEncoder::default();
+        new.base.encode(&mut base);
+        put_section(&mut out, &finish(base));
+    }
+    put_section(&mut out, key);
+    put_section(&mut out, between);
+    Ok(out)
+}
+
+/// Ends a range-coded section.
+pub fn finish(mut out: RangeEncoder) -> Vec<u8> {
+    out.raw(END_MARK, 8);
+    out.finish()
+}
+
+fn end(mut reader: RangeDecoder<'_>) -> Result<()> {
+    if reader.raw(8) != END_MARK {
+        return Err(reader.error("its end is not where it should be"));
+    }
+    reader.finish()
+}
+
+fn put_section(out: &mut Vec<u8>, bytes: &[u8]) {
+    put_varint(out, bytes.len() as u64);
+    out.extend_from_slice(bytes);
+}
+
+fn take_section<'a>(reader: &mut ByteReader<'a>, name: &str) -> Result<&'a [u8]> {
+    let length = reader.varint_up_to(MAX_SECTION, name)? as usize;
+    reader.take(length)
+}
+
+fn put_view(out: &mut Vec<u8>, view: &View) {
+    view.rows.iter().flatten().chain(&view.axis).for_each(|v| put_varint(out, zigzag64(*v)));
+}
+
+fn take_view(reader: &mut ByteReader<'_>) -> Result<View> {
+    let mut numbers = [0; 15];
+    for v in &mut numbers {
+        *v = unzigzag64(reader.varint()?);
+    }
+    let rows = [0, 1, 2].map(|r| std::array::from_fn(|c| numbers[4 * r + c]));
+    let view = View { rows, axis: [numbers[12], numbers[13], numbers[14]] };
+    if view.in_range() { Ok(view) } else { Err(reader.error("a camera out of range")) }
+}

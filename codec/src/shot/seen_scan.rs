@@ -1,0 +1,141 @@
+//! A decoded scan, as later scans are predicted from it.
+
+use super::carry::{Carried, NOWHERE, carry};
+use super::mask::{CERTAIN, Expectation};
+use super::model::{Drawn, Model, Window};
+use super::motion::Motion;
+use super::raster::NOTHING;
+use super::view::PX_BITS;
+
+/// Farthest depth, units.
+const MAX_DEPTH: i32 = 1 << 25;
+
+/// A decoded scan.
+#[derive(Debug, Clone)]
+pub struct SeenScan {
+    /// Where the model is.
+    pub motion: Motion,
+    /// The camera's pixels.
+    pub window: Window,
+    /// The model as it is seen.
+    pub drawn: Drawn,
+    /// Depth of the model, beside it that of the nearest pixel, units.
+    pub model_depth: Vec<i32>,
+    /// Which pixels the scan has.
+    pub mask: Vec<bool>,
+    /// What the scan is deeper than the model, units; where the mask is off, what it was expected to be.
+    pub residual: Vec<i32>,
+}
+
+impl SeenScan {
+    /// Depth of a pixel of the scan, units.
+    pub fn depth(&self, pixel: usize) -> i32 {
+        self.model_depth[pixel].saturating_add(self.residual[pixel]).clamp(-MAX_DEPTH, MAX_DEPTH)
+    }
+
+    /// The same scan against another model that is where `motion` takes it.
+    pub fn against(&self, model: &Model, motion: &Motion) -> Self {
+        let drawn = Drawn::new(model, motion, &self.window);
+        let model_depth = carry(&drawn.picture, &drawn.seen, &model.connectivity, &[]).depth;
+        let model_depth = without_nothing(model_depth);
+        let residual = (0..self.mask.len())
+            .map(|i| if self.mask[i] { self.depth(i).saturating_sub(model_depth[i]) } else { 0 })
+            .collect();
+        Self { motion: motion.clone(), drawn, model_depth, residual, mask: self.mask.clone(), window: self.window }
+    }
+}
+
+/// What is known of a scan before its mask: the model where it is, and what decoded scans say of its pixels.
+#[derive(Debug, Clone)]
+pub struct Expected {
+    /// Depth of the model, continued beside it.
+    pub model_depth: Vec<i32>,
+    /// Where each pixel lies in the references.
+    pub places: Vec<Vec<[i32; 2]>>,
+    /// Which pixels the scan should have.
+    pub mask: Expectation,
+    /// Residual that the references carry along.
+    pub residual: Vec<i32>,
+}
+
+impl Expected {
+    /// Expects a scan that sees `drawn` from those decoded already.
+    pub fn new(model: &Model, drawn: &Drawn, references: &[&SeenScan]) -> Self {
+        let seen: Vec<_> = references.iter().map(|r| &r.drawn.seen[..]).collect();
+        let Carried { depth, places } = carry(&drawn.picture, &drawn.seen, &model.connectivity, &seen);
+        let mask = expected_mask(drawn, &places, references);
+        let residual = expected_residual(&places, references, depth.len());
+        Self { model_depth: without_nothing(depth), places, mask, residual }
+    }
+}
+
+/// A model that is not seen at all lies at depth 0.
+fn without_nothing(mut depth: Vec<i32>) -> Vec<i32> {
+    depth.iter_mut().filter(|d| **d == NOTHING).for_each(|d| *d = 0);
+    depth
+}
+
+fn expected_mask(drawn: &Drawn, places: &[Vec<[i32; 2]>], references: &[&SeenScan]) -> Expectation {
+    let (width, height) = (drawn.picture.width, drawn.picture.height);
+    let level = (0..width * height)
+        .map(|i| {
+            if references.is_empty() {
+                return if drawn.picture.depth[i] == NOTHING { 0 } else { 2 };
+            }
+            let shares = references.iter().zip(places).map(|(r, p)| mask_share(r, p[i]));
+            let mean = shares.sum::<i32>() / references.len() as i32;
+            // Shares of 65536.
+            match mean {
+                65_000.. => CERTAIN,
+                43_000.. => 3,
+                22_000.. => 2,
+                600.. => 1,
+                _ => 0,
+            }
+        })
+        .collect();
+    Expectation { width, height, level }
+}
+
+/// Bilinear share of a reference's mask at a place, 1/65536.
+fn mask_share(reference: &SeenScan, [x, y]: [i32; 2]) -> i32 {
+    if [x, y] == NOWHERE {
+        return 0;
+    }
+    let (width, height) = (reference.window.width as i32, reference.window.height as i32);
+    let (px, py) = (x >> PX_BITS, y >> PX_BITS);
+    if px < -1 || py < -1 || px >= width || py >= height {
+        return 0;
+    }
+    let on = |x: i32, y: i32| {
+        let inside = x >= 0 && y >= 0 && x < width && y < height;
+        i32::from(inside && reference.mask[(y * width + x) as usize])
+    };
+    let (fx, fy) = (x & 255, y & 255);
+    (on(px, py) * (256 - fx) + on(px + 1, py) * fx) * (256 - fy)
+        + (on(px, py + 1) * (256 - fx) + on(px + 1, py + 1) * fx) * fy
+}
+
+/// Mean of what the references hold at the nearest pixels of their masks; 0 where none has one.
+fn expected_residual(places: &[Vec<[i32; 2]>], references: &[&SeenScan], count: usize) -> Vec<i32> {
+    let at = |r: &SeenScan, [x, y]: [i32; 2]| {
+        let (px, py) = ((x + 128) >> PX_BITS, (y + 128) >> PX_BITS);
+        let inside = px >= 0 && py >= 0 && (px as usize) < r.window.width && (py as usize) < r.window.height;
+        let i = inside.then(|| py as usize * r.window.width + px as usize)?;
+        r.mask[i].then_some(r.residual[i])
+    };
+    (0..count)
+        .map(|i| {
+            let (mut sum, mut n) = (0_i64, 0_i64);
+            for (r, p) in references.iter().zip(places) {
+                if p[i] != NOWHERE
+                    && let Some(v) = at(r, p[i])
+                {
+                    sum += i64::from(v);
+                    n += 1;
+                }
+            }
+            if n == 0 { 0 } else { (sum / n) as i32 }
+        })
+        .collect()
+}
