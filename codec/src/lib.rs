@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod bits;
+mod encoder;
 mod error;
 pub mod linalg;
 pub mod mesh;
@@ -11,6 +12,7 @@ pub mod metrics;
 pub mod motion;
 pub mod param;
 mod picture;
+mod player;
 mod scan;
 mod stamps;
 pub mod seed;
@@ -18,8 +20,10 @@ pub mod shot;
 mod stream_header;
 pub mod texture;
 
+pub use encoder::{EncodedGroup, Encoder, EncoderConfig, Pushed};
 pub use error::{CodecError, Result};
 pub use picture::GreyPicture;
+pub use player::{Fetch, Output, Payloads, Player};
 pub use scan::Scan;
 pub use stamps::{Stamp, decode_stamps};
 pub use stream_header::{FORMAT_VERSION, Mode, StreamHeader};

@@ -1,7 +1,8 @@
 //! Encoder of the seed mode: one scan in, a group out whenever a keyframe closes it.
 
 use super::group;
-use super::landmarks::{GivenCounts, GivenLandmark, LandmarkTrail};
+use super::landmarks::{GivenLandmark, LandmarkTrail};
+use crate::encoder::{EncodedGroup, Pushed};
 use super::surface::{self, TextureFrame};
 use crate::mesh::TriMesh;
 use crate::mesh::repair::{RepairOptions, RepairReport, to_disk};
@@ -30,34 +31,6 @@ impl EncoderConfig {
             StreamHeader { mode: Mode::Seed { position_step_mm: 0.05 }, keyframe_interval: 10, scan_period_nanos };
         Self { header, vertex_ratio: 6, texture_quality: 85, repair: RepairOptions::default() }
     }
-}
-
-/// A group ready to be stored.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct EncodedGroup {
-    /// Stamp of the group's first scan.
-    pub first: Stamp,
-    /// Stamp of the keyframe that closes it.
-    pub key: Stamp,
-    /// Scans in the group, keyframe included.
-    pub scans: usize,
-    /// Payload "group".
-    pub geometry: Vec<u8>,
-    /// Payload "texture".
-    pub texture: Option<Vec<u8>>,
-    /// What became of the landmarks given for the keyframe.
-    pub landmarks: GivenCounts,
-}
-
-/// What became of a scan.
-#[derive(Debug, Default)]
-pub struct Pushed {
-    /// The group it closed, if it was a keyframe.
-    pub group: Option<EncodedGroup>,
-    /// What had to be mended before it could be a keyframe.
-    pub repair: Option<RepairReport>,
-    /// Why a keyframe was due but this scan could not be one; the next scan is tried.
-    pub not_key: Option<CodecError>,
 }
 
 /// Encoder of one run.
@@ -171,7 +144,7 @@ impl Encoder {
         self.next_key_tick = (key.tick / interval + 1) * interval;
         self.key_tick = Some(key.tick);
         self.last = None;
-        Ok(EncodedGroup { first, key, scans: stamps.len(), geometry, texture, landmarks })
+        Ok(EncodedGroup { first, key, scans: stamps.len(), geometry, texture, landmarks, cost: None })
     }
 }
 

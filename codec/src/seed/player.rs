@@ -2,18 +2,13 @@
 
 use super::flattened::{Flattened, Neighbours};
 use super::interval::{Interval, Window};
+use crate::player::Fetch;
 use crate::{CodecError, Result, Scan, StreamHeader};
 use std::collections::BTreeMap;
 
 /// Keyframes on either side of an interval that shape its spline. The pull of a knot falls by 2 - sqrt(3) from knot to
 /// knot, so those left out change a path by less than 4e-4 of their second difference.
 pub const KNOT_REACH: usize = 6;
-
-/// Gives the payloads of a group by index.
-pub type Fetch<'a, E> = &'a mut dyn FnMut(usize) -> std::result::Result<Payloads, E>;
-
-/// Payloads of a group: geometry, and texture if there is one.
-pub type Payloads = (Vec<u8>, Option<Vec<u8>>);
 
 /// Decoder of one run.
 pub struct Player {

@@ -1,9 +1,12 @@
 //! A decoded scan as a mesh on its camera's pixels: each scan as it was seen.
 
+use super::carry::nearest_drawn;
 use super::model::Model;
+use super::raster::NOTHING;
 use super::seen_scan::SeenScan;
-use super::view::BackProjection;
+use super::view::{BackProjection, PX_BITS};
 use crate::mesh::TriMesh;
+use glam::{DVec2, Vec3};
 
 /// No vertex.
 const NONE: u32 = u32::MAX;
@@ -27,7 +30,36 @@ pub fn as_scan(model: &Model, scan: &SeenScan) -> TriMesh {
     mesh
 }
 
-fn position(back: &BackProjection, scan: &SeenScan, i: usize) -> glam::Vec3 {
+/// As [`as_scan`], its surface moved by what each vertex of the model moves, mm.
+pub fn as_scan_at(model: &Model, scan: &SeenScan, by_mm: &[Vec3]) -> TriMesh {
+    let mut mesh = as_scan(model, scan);
+    let nearest = nearest_drawn(&scan.drawn.picture.depth, scan.window.width);
+    let pixels = (0..scan.mask.len()).filter(|i| scan.mask[*i]);
+    for (p, i) in mesh.positions_mm.iter_mut().zip(pixels) {
+        let j = nearest[i] as usize;
+        if scan.drawn.picture.depth[j] != NOTHING {
+            *p += displacement(model, scan, j, by_mm);
+        }
+    }
+    mesh
+}
+
+/// Mean of the corners of the triangle that a pixel shows, by its place in it.
+fn displacement(model: &Model, scan: &SeenScan, pixel: usize, by_mm: &[Vec3]) -> Vec3 {
+    let corners = model.connectivity.triangles[scan.drawn.picture.triangle[pixel] as usize];
+    let width = scan.window.width;
+    let p = DVec2::new((pixel % width) as f64, (pixel / width) as f64) * f64::from(1 << PX_BITS);
+    let [a, b, c] = corners.map(|v| {
+        let s = scan.drawn.seen[v as usize];
+        DVec2::new(f64::from(s.x), f64::from(s.y))
+    });
+    let area = (b - a).perp_dot(c - a);
+    let (v, w) = ((p - a).perp_dot(c - a) / area, (b - a).perp_dot(p - a) / area);
+    let weights = [1.0 - v - w, v, w];
+    corners.iter().zip(weights).map(|(&k, w)| by_mm[k as usize] * w as f32).sum()
+}
+
+fn position(back: &BackProjection, scan: &SeenScan, i: usize) -> Vec3 {
     let (x, y) = ((i % scan.window.width) as f64, (i / scan.window.width) as f64);
     back.point_mm(x, y, f64::from(scan.depth(i))).as_vec3()
 }

@@ -80,10 +80,26 @@ impl Affine {
     }
 }
 
-/// Two passes of a distance transform in city-block steps; each pixel beside the surface takes over from its nearest one.
+/// Each pixel beside the surface takes over from its nearest one on it.
 fn continue_beside(carried: &mut Carried, width: usize) {
-    let count = carried.depth.len();
-    let mut steps: Vec<u32> = carried.depth.iter().map(|d| if *d == NOTHING { u32::MAX - 1 } else { 0 }).collect();
+    let nearest = nearest_drawn(&carried.depth, width);
+    for (i, j) in nearest.into_iter().enumerate().map(|(i, j)| (i, j as usize)).filter(|(i, j)| i != j) {
+        carried.depth[i] = carried.depth[j];
+        let offset = [(i % width) as i32 - (j % width) as i32, (i / width) as i32 - (j / width) as i32];
+        for places in &mut carried.places {
+            if places[j] != NOWHERE {
+                let [x, y] = places[j];
+                places[i] = [x + (offset[0] << PX_BITS), y + (offset[1] << PX_BITS)];
+            }
+        }
+    }
+}
+
+/// For each pixel the index of the one nearest to it, in city-block steps, whose depth is known; itself where there is
+/// none. Two passes of a distance transform (Rosenfeld, Pfaltz: Sequential operations in digital picture processing, 1966).
+pub fn nearest_drawn(depth: &[i32], width: usize) -> Vec<u32> {
+    let count = depth.len();
+    let mut steps: Vec<u32> = depth.iter().map(|d| if *d == NOTHING { u32::MAX - 1 } else { 0 }).collect();
     let mut nearest: Vec<u32> = (0..count as u32).collect();
     let mut take = |i: usize, j: usize| {
         if steps[j] + 1 < steps[i] {
@@ -106,18 +122,7 @@ fn continue_beside(carried: &mut Carried, width: usize) {
             take(i, i + width);
         }
     }
-    for i in 0..count {
-        let j = nearest[i] as usize;
-        if j == i || steps[i] >= u32::MAX - 1 {
-            continue;
-        }
-        carried.depth[i] = carried.depth[j];
-        let offset = [(i % width) as i32 - (j % width) as i32, (i / width) as i32 - (j / width) as i32];
-        for places in &mut carried.places {
-            let [x, y] = places[j];
-            places[i] = [x + (offset[0] << PX_BITS), y + (offset[1] << PX_BITS)];
-        }
-    }
+    nearest
 }
 
 #[cfg(test)]

@@ -13,9 +13,11 @@ use super::scan_image::ScanImage;
 use super::seen_scan::SeenScan;
 use super::steps::Steps;
 use crate::bits::range_coder::RangeEncoder;
+use crate::encoder::{EncodedGroup, Pushed};
 use crate::mesh::repair::{RepairOptions, RepairReport, to_disk};
 use crate::mesh::simplify::{SimplifyOptions, simplify};
-use crate::{CodecError, Result, Scan, Stamp, StreamHeader};
+use crate::seed::GivenCounts;
+use crate::{CodecError, Mode, Result, Scan, Stamp, StreamHeader};
 use std::sync::Arc;
 
 /// Vertices of the disk that a base is mapped from.
@@ -38,6 +40,15 @@ pub struct ShotConfig {
     pub refresh_groups: u32,
     /// How scans become disks.
     pub repair: RepairOptions,
+}
+
+impl ShotConfig {
+    /// For scans of one period: a keyframe every tenth, a base every eighth group, errors of a tenth of a millimetre.
+    pub fn new(scan_period_nanos: u64) -> Self {
+        let steps = Steps::default();
+        let header = StreamHeader { mode: Mode::Shots(steps), keyframe_interval: 10, scan_period_nanos };
+        Self { header, steps, tolerance_mm: 0.1, max_error_mm: None, refresh_groups: 8, repair: RepairOptions::default() }
+    }
 }
 
 /// Trade-offs that follow from a tolerance.
@@ -83,38 +94,13 @@ struct Pending {
     image: ScanImage,
 }
 
-/// A closed group.
-#[derive(Debug, Clone)]
-pub struct CodedGroup {
-    /// Stamps of its scans.
-    pub stamps: Vec<Stamp>,
-    /// Payload "group".
-    pub geometry: Vec<u8>,
-    /// What it cost.
-    pub cost: GroupCost,
-    /// How it begins.
-    pub start: Start,
-    /// dbg
-    pub new_base: Option<NewBase>,
-}
-
-/// What became of a scan.
-#[derive(Debug, Default)]
-pub struct Pushed {
-    /// The group that it closed.
-    pub group: Option<CodedGroup>,
-    /// What had to be mended before it could begin a shot.
-    pub repair: Option<RepairReport>,
-    /// Why a keyframe was due but this scan could not be one.
-    pub not_key: Option<CodecError>,
-}
-
 /// Encoder of one run.
 pub struct Encoder {
     config: ShotConfig,
     camera: Option<ShotCamera>,
     chain: Option<Chain>,
     groups_since_base: u32,
+    groups_since_shot: u64,
     pending: Vec<Pending>,
     last: Option<Scan>,
     last_stamp: Option<Stamp>,
@@ -145,11 +131,17 @@ impl Encoder {
             camera: None,
             chain: None,
             groups_since_base: 0,
+            groups_since_shot: 0,
             pending: Vec::new(),
             last: None,
             last_stamp: None,
             next_key_tick: 0,
         })
+    }
+
+    /// Stream header of the run.
+    pub fn header(&self) -> StreamHeader {
+        self.config.header
     }
 
     /// Takes the next scan.
@@ -190,7 +182,7 @@ impl Encoder {
     ///
     /// # Errors
     /// [`CodecError::Mesh`] when that scan cannot be a keyframe.
-    pub fn finish(mut self) -> Result<Option<CodedGroup>> {
+    pub fn finish(mut self) -> Result<Option<EncodedGroup>> {
         let (Some(scan), Some(_)) = (self.last.take(), self.pending.pop()) else { return Ok(None) };
         let stamp = Stamp { tick: scan.tick, time_nanos: scan.time_nanos };
         let key = self.code_key(&scan, stamp)?;
@@ -288,11 +280,12 @@ impl Encoder {
         BaseOptions { control_step: steps.control, displacement_step: steps.displacement, ..BaseOptions::default() }
     }
 
-    fn close_group(&mut self, stamp: Stamp, key: CodedKey) -> Result<CodedGroup> {
+    fn close_group(&mut self, stamp: Stamp, key: CodedKey) -> Result<EncodedGroup> {
         let pending = std::mem::take(&mut self.pending);
         let (between, spent) = self.code_between(&pending, stamp, &key)?;
         let stamps: Vec<Stamp> = pending.iter().map(|p| p.stamp).chain([stamp]).collect();
-        let head = (key.start, key.new_base.as_ref());
+        self.groups_since_shot = if key.start == Start::Begins { 0 } else { self.groups_since_shot + 1 };
+        let head = (key.start, key.new_base.as_ref(), self.groups_since_shot);
         let geometry = group::write(&self.config.header, &stamps, head, &key.bytes, &between)?;
         let base = key.new_base.as_ref().map_or(0, |_| geometry.len() - key.bytes.len() - between.len());
         let cost = GroupCost { base, key: key.spent, between: spent };
@@ -300,7 +293,15 @@ impl Encoder {
         self.chain = Some(key.chain);
         let interval = u64::from(self.config.header.keyframe_interval);
         self.next_key_tick = (stamp.tick / interval + 1) * interval;
-        Ok(CodedGroup { stamps, geometry, cost, start: key.start, new_base: key.new_base })
+        Ok(EncodedGroup {
+            first: stamps[0],
+            key: stamp,
+            scans: stamps.len(),
+            geometry,
+            texture: None,
+            landmarks: GivenCounts::default(),
+            cost: Some(cost),
+        })
     }
 
     /// The scans before a keyframe, as [`group::Parts::decode_between`] reads them.

@@ -19,6 +19,8 @@ use std::sync::Arc;
 pub const MAX_SCANS: usize = 256;
 /// Most pixels of all scans of a group.
 pub const MAX_GROUP_PIXELS: usize = 1 << 24;
+/// Most groups that follow one another without a base.
+pub const MAX_CONTINUED: usize = 32;
 /// Longest range-coded section: many times what any real group needs.
 const MAX_SECTION: u64 = 1 << 24;
 /// Ends each range-coded section, so that one cut short does not pass for whole.
@@ -84,8 +86,8 @@ pub struct Parts<'a> {
     pub stamps: Vec<Stamp>,
     /// How it begins.
     pub start: Start,
-    /// Camera and edge step where a base is sent.
-    head: Option<(View, i32)>,
+    /// Camera, edge step and groups since the shot began, where a base is sent.
+    head: Option<(View, i32, u64)>,
     base: &'a [u8],
     key: &'a [u8],
     between: &'a [u8],
@@ -111,7 +113,9 @@ impl<'a> Parts<'a> {
         let (mut head, mut base) = (None, &[][..]);
         if start != Start::Continues {
             let view = take_view(&mut reader)?;
-            head = Some((view, reader.varint_up_to(1 << 24, "edge step")? as i32));
+            let edge_step = reader.varint_up_to(1 << 24, "edge step")? as i32;
+            let since = if start == Start::Refreshes { reader.varint_up_to(1 << 40, "groups since the shot began")? } else { 0 };
+            head = Some((view, edge_step, since));
             base = take_section(&mut reader, "base length")?;
         }
         let key = take_section(&mut reader, "keyframe length")?;
@@ -128,6 +132,11 @@ impl<'a> Parts<'a> {
         self.stamps[self.stamps.len() - 1]
     }
 
+    /// Groups since the one in which the shot began; `None` in groups without a base.
+    pub fn groups_since_shot(&self) -> Option<u64> {
+        self.head.map(|(_, _, since)| since)
+    }
+
     /// Decodes the keyframe. `before` is needed by groups that do not begin or refresh a shot.
     ///
     /// # Errors
@@ -137,7 +146,7 @@ impl<'a> Parts<'a> {
         let chain = match (self.head, before) {
             (None, Some(before)) if before.key_tick < self.stamps[0].tick => before.clone(),
             (None, _) => return Err(ByteReader::new(&[], "group").error("it continues a shot that is not there")),
-            (Some((view, edge_step)), _) => {
+            (Some((view, edge_step, _)), _) => {
                 let mut reader = RangeDecoder::new(self.base, "base");
                 let base = CodedBase::decode(&mut reader, steps.control, steps.displacement)?;
                 end(reader)?;
@@ -230,7 +239,7 @@ fn decode_motion(
 pub fn write(
     header: &StreamHeader,
     stamps: &[Stamp],
-    (start, new_base): (Start, Option<&NewBase>),
+    (start, new_base, since_shot): (Start, Option<&NewBase>, u64),
     key: &[u8],
     between: &[u8],
 ) -> Result<Vec<u8>> {
@@ -245,6 +254,9 @@ pub fn write(
     if let Some(new) = new_base {
         put_view(&mut out, &new.view);
         put_varint(&mut out, new.edge_step as u64);
+        if start == Start::Refreshes {
+            put_varint(&mut out, since_shot);
+        }
         let mut base = RangeEncoder::default();
         new.base.encode(&mut base);
         put_section(&mut out, &finish(base));

@@ -9,6 +9,7 @@ pub mod bisection;
 pub mod block_transform;
 pub mod camera;
 pub mod carry;
+pub mod change;
 pub mod descent;
 pub mod encoder;
 pub mod fit;
@@ -22,6 +23,7 @@ pub mod motion_code;
 pub mod order;
 pub mod outliers;
 pub mod patches;
+pub mod player;
 pub mod pose;
 pub mod raster;
 pub mod register;
@@ -29,6 +31,7 @@ pub mod scan_code;
 pub mod scan_image;
 pub mod seen_scan;
 pub mod steps;
+pub mod tracked;
 pub mod view;
 
 /// Integer units of length a millimetre.

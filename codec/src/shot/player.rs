@@ -1,0 +1,257 @@
+//! Plays a run of shots at any time: fetches the groups around it, keeps what the next call will need.
+
+use super::as_scan::{as_scan, as_scan_at};
+use super::bisection::Connectivity;
+use super::change::{Change, OnDisk};
+use super::group::{Chain, MAX_CONTINUED, Parts, Start};
+use super::steps::Steps;
+use super::tracked::{Shown, positions_at};
+use crate::mesh::TriMesh;
+use crate::player::{Fetch, Output};
+use crate::{CodecError, Result, Scan, Stamp, StreamHeader};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Groups whose chains are kept.
+const KEPT_CHAINS: usize = 12;
+/// Groups whose scans are kept: those before, at and after a moment, and one for going back.
+const KEPT_GROUPS: usize = 4;
+
+/// Decoder of one run.
+pub struct Player {
+    header: StreamHeader,
+    steps: Steps,
+    output: Output,
+    key_times_nanos: Vec<u64>,
+    chains: BTreeMap<usize, Link>,
+    groups: BTreeMap<usize, Vec<Shown>>,
+    /// Connectivity that the tracked mesh of a shot keeps, by the group in which it began.
+    displayed: Option<(usize, Arc<Connectivity>)>,
+    change: Option<(u64, Change)>,
+}
+
+/// The state after a group, and where its shot began.
+#[derive(Clone)]
+struct Link {
+    chain: Chain,
+    shot: usize,
+}
+
+type Failure<E> = std::result::Result<(), E>;
+
+impl Player {
+    /// A player of the groups whose keyframes have these times (increasing).
+    ///
+    /// # Errors
+    /// [`CodecError::Stream`] without keyframes, when times do not increase, or for another mode's header.
+    pub fn new(header: StreamHeader, key_times_nanos: Vec<u64>, output: Output) -> Result<Self> {
+        if key_times_nanos.is_empty() || key_times_nanos.windows(2).any(|w| w[0] >= w[1]) {
+            return Err(CodecError::Stream("a run needs keyframes whose times increase".into()));
+        }
+        let steps = header.steps()?;
+        let (chains, groups) = (BTreeMap::new(), BTreeMap::new());
+        Ok(Self { header, steps, output, key_times_nanos, chains, groups, displayed: None, change: None })
+    }
+
+    /// The scan at a time, held at the ends of the run. `fetch` gives the payloads (group, texture) of a group by index.
+    ///
+    /// # Errors
+    /// What `fetch` returns, and the codec's own errors for payloads that do not fit.
+    pub fn scan_at<E: From<CodecError>>(
+        &mut self,
+        time_nanos: u64,
+        fetch: Fetch<'_, E>,
+    ) -> std::result::Result<Scan, E> {
+        let last = self.key_times_nanos.len() - 1;
+        let at = self.key_times_nanos.partition_point(|&t| t < time_nanos).min(last);
+        let around = self.around(at, time_nanos, fetch)?;
+        let period = self.header.scan_period_nanos;
+        let mesh = match self.output {
+            Output::Scan => show_scan(&around, time_nanos),
+            Output::Mesh => self.show_mesh(&around, time_nanos, fetch)?,
+        };
+        Ok(Scan { tick: (time_nanos + period / 2) / period, time_nanos, mesh, texture: None })
+    }
+
+    /// Scans in time order with `at` the index of the last one not after the moment: two on either side of it, as far as
+    /// there are any.
+    fn around<E: From<CodecError>>(
+        &mut self,
+        at: usize,
+        time_nanos: u64,
+        fetch: Fetch<'_, E>,
+    ) -> std::result::Result<Around, E> {
+        self.load(at, fetch)?;
+        let mut shown: Vec<Shown> = self.groups[&at].clone();
+        if !shown.iter().any(|s| s.stamp.time_nanos == time_nanos) {
+            // A neighbour is needed on both sides for the tangents.
+            let index = shown.partition_point(|s| s.stamp.time_nanos <= time_nanos);
+            if index < 2 && at > 0 {
+                self.load(at - 1, fetch)?;
+                shown.splice(0..0, self.groups[&(at - 1)].iter().cloned());
+            }
+            if index + 1 >= self.groups[&at].len() && at + 1 < self.key_times_nanos.len() {
+                self.load(at + 1, fetch)?;
+                shown.extend(self.groups[&(at + 1)].iter().cloned());
+            }
+        }
+        let index = shown.partition_point(|s| s.stamp.time_nanos <= time_nanos).max(1) - 1;
+        let from = index.saturating_sub(1);
+        let to = (index + 3).min(shown.len());
+        Ok(Around { shown: shown[from..to].to_vec(), at: index - from })
+    }
+
+    /// Decodes a group if it is not there, and forgets those far away.
+    fn load<E: From<CodecError>>(&mut self, group: usize, fetch: Fetch<'_, E>) -> Failure<E> {
+        if self.groups.contains_key(&group) {
+            return Ok(());
+        }
+        let (bytes, _) = fetch(group)?;
+        let parts = Parts::read(&self.header, &bytes).map_err(E::from)?;
+        let before = match group.checked_sub(1).filter(|_| parts.stamps.len() > 1 || parts.start == Start::Continues) {
+            Some(before) => {
+                self.link(before, fetch)?;
+                Some(self.chains[&before].clone())
+            }
+            None => None,
+        };
+        self.link(group, fetch)?;
+        let link = self.chains[&group].clone();
+        let mut shown = Vec::with_capacity(parts.stamps.len());
+        if let Some(Link { chain, shot }) = &before {
+            let between = parts.decode_between(&self.steps, Some(chain), &link.chain).map_err(E::from)?;
+            let model = &chain.model;
+            shown.extend(
+                between.into_iter().map(|(stamp, scan)| Shown { stamp, scan, model: Arc::clone(model), shot: *shot }),
+            );
+        } else if parts.stamps.len() > 1 {
+            parts.decode_between(&self.steps, None, &link.chain).map_err(E::from)?;
+        }
+        shown.push(link.shown(parts.key_stamp()));
+        self.groups.insert(group, shown);
+        forget(&mut self.groups, group, KEPT_GROUPS);
+        Ok(())
+    }
+
+    /// Decodes the keyframe of a group and those that it rests on.
+    fn link<E: From<CodecError>>(&mut self, group: usize, fetch: Fetch<'_, E>) -> Failure<E> {
+        let mut waiting: Vec<(usize, Vec<u8>)> = Vec::new();
+        let mut at = group;
+        while !self.chains.contains_key(&at) {
+            if waiting.len() > MAX_CONTINUED {
+                let text = format!("more than {MAX_CONTINUED} groups before group {group} without a base");
+                return Err(CodecError::Stream(text).into());
+            }
+            let (bytes, _) = fetch(at)?;
+            let start = Parts::read(&self.header, &bytes).map_err(E::from)?.start;
+            waiting.push((at, bytes));
+            if start != Start::Continues || at == 0 {
+                break;
+            }
+            at -= 1;
+        }
+        for (at, bytes) in waiting.into_iter().rev() {
+            let parts = Parts::read(&self.header, &bytes).map_err(E::from)?;
+            let before = at.checked_sub(1).and_then(|b| self.chains.get(&b));
+            let shot = match parts.groups_since_shot() {
+                Some(since) => usize::try_from(since).ok().and_then(|since| at.checked_sub(since)),
+                None => before.map(|b| b.shot),
+            };
+            let shot = shot.ok_or_else(|| CodecError::Stream(format!("group {at}: its shot began before the run")))?;
+            let chain = parts.decode_key(&self.steps, before.map(|b| &b.chain)).map_err(E::from)?;
+            self.chains.insert(at, Link { chain, shot });
+        }
+        forget(&mut self.chains, group, KEPT_CHAINS);
+        Ok(())
+    }
+
+    /// The tracked mesh: one connectivity a shot, a morph between shots.
+    fn show_mesh<E: From<CodecError>>(
+        &mut self,
+        around: &Around,
+        time_nanos: u64,
+        fetch: Fetch<'_, E>,
+    ) -> std::result::Result<TriMesh, E> {
+        let here = &around.shown[around.at];
+        let next = around.shown.get(around.at + 1);
+        if let Some(next) = next.filter(|n| n.shot != here.shot && time_nanos > here.stamp.time_nanos) {
+            let start = here.stamp.time_nanos;
+            if self.change.as_ref().is_none_or(|(t, _)| *t != start) {
+                let (from, to) = (self.nodes(here.shot, fetch)?, self.nodes(next.shot, fetch)?);
+                let earlier = OnDisk::new(here.positions_mm(&from), &from);
+                self.change = Some((start, Change::new(&earlier, OnDisk::new(next.positions_mm(&to), &to))));
+            }
+            let share = (time_nanos - start) as f64 / (next.stamp.time_nanos - start) as f64;
+            if let Some((_, change)) = &self.change {
+                return Ok(change.at(share.min(1.0) as f32));
+            }
+        }
+        let nodes = self.nodes(here.shot, fetch)?;
+        let (same, at) = around.of_shot(here.shot);
+        let positions_mm = positions_at(&same, at, time_nanos, &nodes);
+        Ok(TriMesh { positions_mm, triangles: nodes.triangles.clone(), uv: None })
+    }
+
+    /// Connectivity of the base that a shot began with.
+    fn nodes<E: From<CodecError>>(
+        &mut self,
+        shot: usize,
+        fetch: Fetch<'_, E>,
+    ) -> std::result::Result<Arc<Connectivity>, E> {
+        if let Some((_, nodes)) = self.displayed.as_ref().filter(|(s, _)| *s == shot) {
+            return Ok(Arc::clone(nodes));
+        }
+        self.link(shot, fetch)?;
+        let nodes = Arc::new(self.chains[&shot].chain.model.connectivity.clone());
+        self.displayed = Some((shot, Arc::clone(&nodes)));
+        Ok(nodes)
+    }
+}
+
+impl Link {
+    fn shown(&self, stamp: Stamp) -> Shown {
+        let scan = Arc::clone(&self.chain.keys.scans[&stamp.tick]);
+        Shown { stamp, scan, model: Arc::clone(&self.chain.model), shot: self.shot }
+    }
+}
+
+/// Scans around a moment.
+struct Around {
+    shown: Vec<Shown>,
+    /// Index of the last one not after it, or the first.
+    at: usize,
+}
+
+impl Around {
+    /// Those of one shot, and the index among them.
+    fn of_shot(&self, shot: usize) -> (Vec<&Shown>, usize) {
+        let before = self.shown[..self.at].iter().filter(|s| s.shot == shot).count();
+        (self.shown.iter().filter(|s| s.shot == shot).collect(), before)
+    }
+}
+
+/// The nearest scan as it was seen, its surface moved along to the moment.
+fn show_scan(around: &Around, time_nanos: u64) -> TriMesh {
+    let distance = |s: &Shown| s.stamp.time_nanos.abs_diff(time_nanos);
+    let here = &around.shown[around.at];
+    let nearest = around.shown.get(around.at + 1).filter(|n| distance(n) < distance(here)).unwrap_or(here);
+    let (same, at) = around.of_shot(here.shot);
+    if distance(nearest) == 0 || nearest.shot != here.shot || same.len() < 2 {
+        return as_scan(&nearest.model, &nearest.scan);
+    }
+    let nodes = &nearest.model.connectivity;
+    let moved = positions_at(&same, at, time_nanos, nodes);
+    let still = nearest.positions_mm(nodes);
+    let by: Vec<_> = moved.iter().zip(&still).map(|(a, b)| *a - *b).collect();
+    as_scan_at(&nearest.model, &nearest.scan, &by)
+}
+
+/// Keeps the `most` entries nearest to `around`.
+fn forget<T>(map: &mut BTreeMap<usize, T>, around: usize, most: usize) {
+    while map.len() > most {
+        let (first, last) = (map.keys().next().copied(), map.keys().next_back().copied());
+        let (Some(first), Some(last)) = (first, last) else { return };
+        let far = if around.abs_diff(first) > around.abs_diff(last) { first } else { last };
+        map.remove(&far);
+    }
+}
