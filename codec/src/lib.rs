@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod bits;
+mod checker;
 mod encoder;
 mod error;
 pub mod linalg;
@@ -20,6 +21,7 @@ pub mod shot;
 mod stream_header;
 pub mod texture;
 
+pub use checker::Checker;
 pub use encoder::{EncodedGroup, Encoder, EncoderConfig, Pushed};
 pub use error::{CodecError, Result};
 pub use picture::GreyPicture;

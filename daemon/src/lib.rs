@@ -3,10 +3,10 @@
 //! The data's way, each arrow a file:
 //! ```text
 //! device::Camera --Frame--> pipeline::frame_set --FrameSet--> light::phase --WrappedPhase--> light::unwrap --column_px-->
-//! light::triangulate --PointGrid--> light::grid_mesh --TriMesh--> codec::seed::Encoder --EncodedGroup-->
+//! light::triangulate --PointGrid--> light::grid_mesh --TriMesh--> codec::Encoder --EncodedGroup-->
 //! protocol::session writer --bytes--> file
 //! raw: Frame --pipeline::raw--> protocol::raw writer --bytes--> folder --device::recorded--> Frame
-//! replay: file --StoredGroup--> codec::seed::Player --Scan at time t--> files, view, measure
+//! replay: file --StoredGroup--> codec::Player --Scan at time t--> files, view, measure
 //! ```
 #![deny(unsafe_code)]
 

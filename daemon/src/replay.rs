@@ -1,7 +1,6 @@
 //! A session opened for replay: any scan at any time.
 
-use gv3_codec::seed::{Player, decode_stamps};
-use gv3_codec::{CodecError, Scan, StreamHeader};
+use gv3_codec::{CodecError, Output, Player, Scan, StreamHeader, decode_stamps};
 use gv3_protocol::session::{SessionError, SessionReader, SessionState};
 use std::fs::File;
 use std::ops::Range;
@@ -71,6 +70,14 @@ impl Replay {
     /// # Errors
     /// [`ReplayError`] naming the file and the group or byte.
     pub fn open(path: &Path) -> Result<Self, ReplayError> {
+        Self::open_as(path, Output::default())
+    }
+
+    /// As [`Self::open`], showing the tracked mesh or each scan as it was seen; sessions of the seed mode have one output.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_as(path: &Path, output: Output) -> Result<Self, ReplayError> {
         let mut reader = SessionReader::open(path)?;
         let fail = |reason: String| ReplayError::Content { path: path.into(), reason };
         let (groups, streams) = (reader.groups().to_vec(), reader.streams().to_vec());
@@ -88,7 +95,7 @@ impl Replay {
             }
             first_header.get_or_insert(header);
             if !range.is_empty() {
-                let player = Player::new(header, times).map_err(|e| fail(e.to_string()))?;
+                let player = Player::new(header, times, output).map_err(|e| fail(e.to_string()))?;
                 runs.push(Run { groups: range, player });
             }
         }

@@ -1,8 +1,7 @@
 //! A run of scans through the encoder, and back through the player.
 
 use gv3::pipeline::record::write_group;
-use gv3_codec::seed::{EncodedGroup, Encoder, EncoderConfig, Player, Pushed};
-use gv3_codec::{CodecError, Scan, StreamHeader};
+use gv3_codec::{CodecError, EncodedGroup, Encoder, EncoderConfig, Output, Player, Pushed, Scan, StreamHeader};
 use gv3_protocol::AtomicFile;
 use gv3_protocol::session::{MetadataGroup, SessionMetadata, SessionWriter};
 use std::path::Path;
@@ -54,7 +53,15 @@ impl CodedRun {
     /// # Errors
     /// The player's.
     pub fn player(&self) -> Result<Player, CodecError> {
-        Player::new(self.header, self.groups.iter().map(|g| g.key.time_nanos).collect())
+        self.player_of(Output::Scan)
+    }
+
+    /// A player of one of the run's outputs.
+    ///
+    /// # Errors
+    /// The player's.
+    pub fn player_of(&self, output: Output) -> Result<Player, CodecError> {
+        Player::new(self.header, self.groups.iter().map(|g| g.key.time_nanos).collect(), output)
     }
 
     /// Writes the run as a session.

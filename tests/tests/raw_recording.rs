@@ -5,7 +5,7 @@ use gv3::device::sim::{Fault, FaultKind};
 use gv3::device::{self, Camera, CameraInfo, CameraSettings, DeviceError, Frame, Pace, RecordedConfig, Rig, RigConfig};
 use gv3::pipeline::{RawRecorder, RawSets, RecordSettings, Recorded, record};
 use gv3_codec::Scan;
-use gv3_codec::seed::EncoderConfig;
+use gv3_codec::EncoderConfig;
 use gv3_protocol::raw::verify_raw;
 use gv3_protocol::session::{Event, SessionFile, SessionMetadata, SessionReader, SessionWriter};
 use std::path::Path;

@@ -7,7 +7,8 @@ use gv3::measure::measure;
 use gv3::replay::Replay;
 use gv3_codec::Scan;
 use gv3_codec::metrics::compare;
-use gv3_codec::seed::{EncoderConfig, decode_group, decode_stamps};
+use gv3_codec::seed::{self, decode_group};
+use gv3_codec::{EncoderConfig, decode_stamps};
 use gv3_tests::coded_run::CodedRun;
 use gv3_tests::moving_face::{PERIOD_NANOS, closed, scan, write_scans};
 
@@ -15,7 +16,7 @@ use gv3_tests::moving_face::{PERIOD_NANOS, closed, scan, write_scans};
 const KEY_LIMIT_MM: f64 = 0.3;
 
 fn run(scans: impl IntoIterator<Item = Scan>) -> CodedRun {
-    CodedRun::new(EncoderConfig::new(PERIOD_NANOS), scans).unwrap()
+    CodedRun::new(EncoderConfig::Seed(seed::EncoderConfig::new(PERIOD_NANOS)), scans).unwrap()
 }
 
 /// Root mean square distance of two surfaces, the larger of both ways, mm.
@@ -124,7 +125,7 @@ fn a_scan_that_cannot_be_a_keyframe_gives_way_to_the_next() {
 #[test]
 fn a_run_needs_a_surface_to_begin_with() {
     let sphere = Scan { mesh: closed(3), ..scan(0) };
-    let error = CodedRun::new(EncoderConfig::new(PERIOD_NANOS), [sphere]).unwrap_err().to_string();
+    let error = CodedRun::new(EncoderConfig::Seed(seed::EncoderConfig::new(PERIOD_NANOS)), [sphere]).unwrap_err().to_string();
     assert!(error.contains("closed"), "{error}");
 }
 

@@ -7,7 +7,8 @@ use gv3::pipeline::record::ScanObserver;
 use gv3::pipeline::{RecordSettings, Recorded, record};
 use gv3_codec::mesh::Bvh;
 use gv3_codec::metrics::ErrorHistogram;
-use gv3_codec::seed::{EncoderConfig, decode_stamps};
+use gv3_codec::decode_stamps;
+use gv3_codec::EncoderConfig;
 use gv3_codec::{Scan, StreamHeader};
 use gv3_protocol::session::{Event, EventKind, SessionFile, SessionMetadata, SessionReader, SessionWriter};
 use std::path::Path;
@@ -17,7 +18,7 @@ use std::sync::{Arc, Mutex};
 fn record_to(path: &Path, config: &RigConfig, periods: u64, observer: ScanObserver) -> Recorded {
     let rig = device::open(config).unwrap();
     let encoder = EncoderConfig::new(rig.timing.set_period_nanos(rig.sequence.patterns.len()));
-    let metadata = SessionMetadata::new(encoder.header.mode.name(), "gv3-tests", 0);
+    let metadata = SessionMetadata::new(encoder.header().mode.name(), "gv3-tests", 0);
     let writer = SessionWriter::create(SessionFile::create(path, false).unwrap(), &metadata).unwrap();
     let settings = RecordSettings {
         scan_periods: Some(periods),

@@ -8,7 +8,7 @@ use crate::pipeline::record::ScanObserver;
 use crate::pipeline::{DropCounts, RawRecorded, RawRecorder, Reconstructor, RecordSettings, Recorded, record};
 use anyhow::{Context, Result, anyhow};
 use clap::{ArgGroup, Args};
-use gv3_codec::seed::EncoderConfig;
+use gv3_codec::EncoderConfig;
 use gv3_protocol::session::{SessionFile, SessionMetadata, SessionReader, SessionWriter};
 use serde::Serialize;
 use std::future::Future;
@@ -191,7 +191,7 @@ fn record_rig(
     let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
     let encoder = EncoderConfig::new(period_nanos);
     let metadata =
-        SessionMetadata::new(encoder.header.mode.name(), concat!("gv3 ", env!("CARGO_PKG_VERSION")), created)
+        SessionMetadata::new(encoder.header().mode.name(), concat!("gv3 ", env!("CARGO_PKG_VERSION")), created)
             .with_calibration(&rig.calibration.to_toml()?)
             .with_configuration(&toml::to_string(config)?);
     let writer = SessionWriter::create(SessionFile::create(out, overwrite)?, &metadata)?;

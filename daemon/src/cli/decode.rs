@@ -8,6 +8,7 @@ use crate::files::{ExportFormat, ExportWriter};
 use crate::replay::Replay;
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
+use gv3_codec::Output;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -25,6 +26,9 @@ pub struct Decode {
     /// Files to write.
     #[arg(long, value_enum, default_value_t = Format::Obj)]
     format: Format,
+    /// What to write: each scan as it was seen, or the tracked mesh with one connectivity a shot.
+    #[arg(long = "as", value_enum, default_value_t = AsArgument::Scan)]
+    output: AsArgument,
     /// This many scans a second from the first to the last, instead of the original times.
     #[arg(long, value_parser = fps, conflicts_with = "times")]
     fps: Option<f64>,
@@ -40,6 +44,14 @@ pub struct Decode {
     /// Report as JSON.
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum AsArgument {
+    /// As it was seen: the camera's pixels, holes and all.
+    Scan,
+    /// The tracked mesh.
+    Mesh,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -63,7 +75,11 @@ struct DecodeReport {
 
 impl Decode {
     pub(super) fn run(self) -> Result<Outcome> {
-        let mut replay = Replay::open(&self.session)?;
+        let output = match self.output {
+            AsArgument::Scan => Output::Scan,
+            AsArgument::Mesh => Output::Mesh,
+        };
+        let mut replay = Replay::open_as(&self.session, output)?;
         let times = self.times_nanos(&replay)?;
         let format = match self.format {
             Format::Obj => ExportFormat::Obj,

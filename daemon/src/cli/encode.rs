@@ -8,8 +8,9 @@ use crate::measure::binary_bytes;
 use crate::pipeline::record::write_group;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use gv3_codec::seed::{EncodedGroup, Encoder, EncoderConfig, GivenLandmark, MAX_GIVEN_OFFSET_MM, Pushed};
-use gv3_codec::{CodecError, Scan};
+use gv3_codec::seed::{self, GivenLandmark, MAX_GIVEN_OFFSET_MM};
+use gv3_codec::shot::encoder::ShotConfig;
+use gv3_codec::{CodecError, EncodedGroup, Encoder, EncoderConfig, Pushed, Scan, StreamHeader};
 use gv3_protocol::AtomicFile;
 use gv3_protocol::session::{Event, EventKind, MetadataGroup, SessionMetadata, SessionWriter, key};
 use serde::Serialize;
@@ -33,7 +34,7 @@ pub struct Encode {
     #[arg(short, long)]
     out: PathBuf,
     /// How to code.
-    #[arg(long, value_enum, default_value_t = ModeArgument::Seed)]
+    #[arg(long, value_enum, default_value_t = ModeArgument::Default)]
     mode: ModeArgument,
     /// Landmarks on scans, CSV: scan,name,vertex,x,y,z (scan empty: all scans; x,y,z empty: the vertex, counted from 1).
     /// Those on two keyframes in a row join the tracked ones, and replace tracked ones nearby.
@@ -42,13 +43,19 @@ pub struct Encode {
     /// Scans a second of the input; file numbers are ticks of this clock.
     #[arg(long, default_value_t = 30.0, value_parser = fps)]
     fps: f64,
+    /// Error that is worth correcting, mm (default mode): sets what a bit may cost.
+    #[arg(long, default_value_t = 0.1, value_parser = millimetres)]
+    tolerance_mm: f64,
+    /// Farthest that any pixel of a scan may be off across the surface, mm (default mode).
+    #[arg(long, value_parser = millimetres)]
+    max_error_mm: Option<f64>,
     /// Ticks from keyframe to keyframe.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u8).range(1..))]
     keyframe_interval: u8,
-    /// Keep at most one vertex in this many in a keyframe.
+    /// Keep at most one vertex in this many in a keyframe (seed mode).
     #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u32).range(2..1000))]
     vertex_ratio: u32,
-    /// Quality of key textures, 1 to 100.
+    /// Quality of key textures, 1 to 100 (seed mode).
     #[arg(long, default_value_t = 85, value_parser = clap::value_parser!(u8).range(1..=100))]
     texture_quality: u8,
     /// Cut open a closed surface where it faces away from the scanner, instead of refusing it.
@@ -64,6 +71,8 @@ pub struct Encode {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ModeArgument {
+    /// Shots on the conformal disk, corrected in the camera's view.
+    Default,
     /// The published scheme: decimated keyframes, conformal matching, spline morphing.
     Seed,
 }
@@ -73,6 +82,14 @@ pub fn fps(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(f) if (0.001..=1e6).contains(&f) => Ok(f),
         _ => Err("a rate must lie between 0.001 and 1000000 a second".into()),
+    }
+}
+
+/// A length of a sensible size.
+fn millimetres(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (0.005..=10.0).contains(&v) => Ok(v),
+        _ => Err("give millimetres between 0.005 and 10".into()),
     }
 }
 
@@ -105,12 +122,8 @@ impl Encode {
     pub(super) fn run(self) -> Result<Outcome> {
         let folder = ScanFolder::open(&self.input)?;
         let landmarks = self.read_landmarks(&folder)?;
-        let mut config = EncoderConfig::new((1e9 / self.fps).round() as u64);
-        config.header.keyframe_interval = self.keyframe_interval;
-        config.vertex_ratio = self.vertex_ratio;
-        config.texture_quality = self.texture_quality;
-        config.repair.open_closed = self.open_closed;
-        let period_nanos = config.header.scan_period_nanos;
+        let config = self.config();
+        let period_nanos = config.header().scan_period_nanos;
         let stop = stop_flag()?;
         let mut job = Job::start(&self, &folder, config, landmarks)?;
         let bar = bar(folder.len() as u64, "encode");
@@ -130,6 +143,44 @@ impl Encode {
         bar.finish_and_clear();
         let report = job.finish(&self, &folder)?;
         Outcome::of(self.json, &report, || self.describe(&report))
+    }
+
+    fn config(&self) -> EncoderConfig {
+        let period_nanos = (1e9 / self.fps).round() as u64;
+        match self.mode {
+            ModeArgument::Default => {
+                let mut config = ShotConfig::new(period_nanos);
+                config.header.keyframe_interval = self.keyframe_interval;
+                config.tolerance_mm = self.tolerance_mm;
+                config.max_error_mm = self.max_error_mm;
+                config.repair.open_closed = self.open_closed;
+                EncoderConfig::Shots(config)
+            }
+            ModeArgument::Seed => {
+                let mut config = seed::EncoderConfig::new(period_nanos);
+                config.header.keyframe_interval = self.keyframe_interval;
+                config.vertex_ratio = self.vertex_ratio;
+                config.texture_quality = self.texture_quality;
+                config.repair.open_closed = self.open_closed;
+                EncoderConfig::Seed(config)
+            }
+        }
+    }
+
+    /// Settings of the mode, as stored in the session.
+    fn mode_settings(&self, header: &StreamHeader) -> Result<String> {
+        Ok(match self.mode {
+            ModeArgument::Default => {
+                let bound = self.max_error_mm.map_or_else(String::new, |mm| format!("max_error_mm = {mm:?}\n"));
+                format!("tolerance_mm = {:?}\n{bound}", self.tolerance_mm)
+            }
+            ModeArgument::Seed => format!(
+                "vertex_ratio = {}\ntexture_quality = {}\nposition_step_mm = {:?}\n",
+                self.vertex_ratio,
+                self.texture_quality,
+                header.position_step_mm()?
+            ),
+        })
     }
 
     fn read_landmarks(&self, folder: &ScanFolder) -> Result<Option<LandmarkTable>> {
@@ -195,12 +246,11 @@ impl Job {
         let header = encoder.header();
         let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
         let settings = format!(
-            "fps = {:?}\nkeyframe_interval = {}\nvertex_ratio = {}\ntexture_quality = {}\nposition_step_mm = {:?}\n",
+            "fps = {:?}\nkeyframe_interval = {}\nmode = \"{}\"\n{}",
             command.fps,
             command.keyframe_interval,
-            command.vertex_ratio,
-            command.texture_quality,
-            header.position_step_mm
+            header.mode.name(),
+            command.mode_settings(&header)?
         );
         let producer = concat!("gv3 ", env!("CARGO_PKG_VERSION"));
         let metadata = SessionMetadata::new(header.mode.name(), producer, created).with_configuration(&settings);

@@ -11,7 +11,7 @@ use crate::pipeline::record::write_group;
 use crate::pipeline::{Reconstruction, StillReconstructor};
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use gv3_codec::seed::{Encoder, EncoderConfig};
+use gv3_codec::{Encoder, EncoderConfig};
 use gv3_codec::{GreyPicture, Scan};
 use gv3_protocol::AtomicFile;
 use gv3_protocol::raw::RawReader;

@@ -4,8 +4,7 @@ use super::Outcome;
 use crate::replay::Replay;
 use anyhow::Result;
 use clap::Args;
-use gv3_codec::seed::decode_group;
-use gv3_codec::texture::decode_key_texture;
+use gv3_codec::Checker;
 use gv3_protocol::raw::RawReader;
 use gv3_protocol::session::{VerifyReport, verify};
 use serde::Serialize;
@@ -52,11 +51,10 @@ impl Verify {
     }
 
     fn decode_all(&self, replay: &mut Replay, report: &mut FullReport) {
-        let header = replay.header();
+        let mut checker = Checker::new(replay.header());
         for i in 0..replay.reader().groups().len() {
             let decoded = replay.reader_mut().read_group(i).map_err(|e| e.to_string()).and_then(|stored| {
-                decode_group(&header, &stored.geometry).map_err(|e| e.to_string())?;
-                stored.texture.as_deref().map(decode_key_texture).transpose().map_err(|e| e.to_string())
+                checker.check(&stored.geometry, stored.texture.as_deref()).map_err(|e| e.to_string())
             });
             match decoded {
                 Ok(_) => report.decoded_groups += 1,

@@ -3,8 +3,7 @@
 use super::{DropCounts, FrameSet, FrameSetAssembler, Reconstruction, Reconstructor};
 use crate::device::{DeviceError, Rig};
 use crate::light::{DepthRange, LightError, RejectedPixels};
-use gv3_codec::seed::{EncodedGroup, Encoder, EncoderConfig};
-use gv3_codec::{CodecError, Scan};
+use gv3_codec::{CodecError, EncodedGroup, Encoder, EncoderConfig, Scan};
 use gv3_protocol::session::{
     Event, EventKind, GroupRecord, MetadataGroup, SessionError, SessionFile, SessionWriter, SyncData, key,
 };
