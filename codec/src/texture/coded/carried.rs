@@ -164,7 +164,7 @@ mod tests {
             for y in 8..h - 8 {
                 for x in 8..w - 8 {
                     let i = y * w + x;
-                    assert!((seen.levels[0][i] - there.levels[0][i]).abs() < 16, "{dx} {dy} at {x} {y}");
+                    assert!((seen.levels[0][i] - there.levels[0][i]).abs() < 48, "{dx} {dy} at {x} {y}");
                 }
             }
         }

@@ -7,7 +7,9 @@ use super::transform::{MAX_AREA, forward, inverse};
 
 /// Times that pixels which do not count take over what is coded for the others (projection onto convex sets; H. H. Chen,
 /// M. R. Civanlar, B. G. Haskell, A block transform coder for arbitrarily shaped image segments, 1994).
-const FILLINGS: usize = 2;
+const FILLINGS: usize = 1;
+/// Price of a block without coefficients, bits a pixel, above which its quarters are tried.
+const SPLIT_BITS: f32 = 0.15;
 /// Price of a predicted block, bits a pixel, above which prediction from the same picture is tried.
 const INTRA_BITS: f32 = 0.12;
 
@@ -21,8 +23,8 @@ pub fn choose(canvas: &mut Canvas<'_>, models: &BlockModels, wanted: &[i16], s: 
     let per_cost = lambda / 256.0;
     let (leaf, price) = choose_leaf(canvas, models, wanted, s, lambda, count);
     let price = price + per_cost * split_cost[0] as f32;
-    let prune = leaf.levels.extent == 0 && count == s.side * s.side;
-    if s.side == CELL || prune {
+    let good_enough = leaf.levels.extent == 0 && price < SPLIT_BITS * lambda * count as f32;
+    if s.side == CELL || good_enough {
         canvas.put(s, &leaf);
         return (Block::Whole(leaf), price);
     }
