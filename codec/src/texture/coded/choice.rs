@@ -2,7 +2,7 @@
 
 use super::blocks::{Block, BlockModels};
 use super::canvas::{CELL, Canvas, Leaf, Square, quarters};
-use super::levels::Levels;
+use super::levels::{Levels, Shape};
 use super::transform::{MAX_AREA, forward, inverse};
 
 /// Times that pixels which do not count take over what is coded for the others (projection onto convex sets; H. H. Chen,
@@ -50,71 +50,81 @@ fn choose_leaf(
     count: usize,
 ) -> (Leaf, f32) {
     let flag = models.intra_cost(canvas, s).map(|c| c as f32 * lambda / 256.0);
+    let leaf = |intra: bool| {
+        let missing = Missing::new(canvas, wanted, s, intra, count);
+        let (levels, price) = missing.levels(models, &canvas.shape(s, intra), canvas.step, lambda);
+        (Leaf { intra, levels }, price + flag[usize::from(intra)])
+    };
     if canvas.prediction.is_none() {
-        let (levels, price) = transform_leaf(canvas, models, wanted, s, true, lambda, count);
-        return (Leaf { intra: true, levels }, price);
+        return leaf(true);
     }
-    let (levels, price) = transform_leaf(canvas, models, wanted, s, false, lambda, count);
-    let mut best = (Leaf { intra: false, levels }, price + flag[0]);
-    if best.1 > INTRA_BITS * lambda * count as f32 {
-        let (levels, price) = transform_leaf(canvas, models, wanted, s, true, lambda, count);
-        if price + flag[1] < best.1 {
-            best = (Leaf { intra: true, levels }, price + flag[1]);
+    let predicted = leaf(false);
+    if predicted.1 > INTRA_BITS * lambda * count as f32 {
+        let intra = leaf(true);
+        if intra.1 < predicted.1 {
+            return intra;
         }
     }
-    best
+    predicted
 }
 
-fn transform_leaf(
-    canvas: &Canvas<'_>,
-    models: &BlockModels,
-    wanted: &[i16],
-    s: Square,
-    intra: bool,
-    lambda: f32,
-    count: usize,
-) -> (Levels, f32) {
-    let area = s.side * s.side;
-    let mut base = [0_i32; MAX_AREA];
-    canvas.predict(s, intra, &mut base);
-    let mut missing = [0.0_f32; MAX_AREA];
-    let mut counts = [false; MAX_AREA];
-    for (i, k) in canvas.places(s) {
-        if canvas.mask[i] {
-            missing[k] = (i32::from(wanted[i]) - base[k]) as f32;
+/// What a prediction lacks in a block.
+struct Missing {
+    values: [f32; MAX_AREA],
+    counts: [bool; MAX_AREA],
+    area: usize,
+    full: bool,
+}
+
+impl Missing {
+    /// Pixels that do not count miss the mean of the others.
+    fn new(canvas: &Canvas<'_>, wanted: &[i16], s: Square, intra: bool, count: usize) -> Self {
+        let area = s.side * s.side;
+        let (mut base, mut counts) = ([0_i32; MAX_AREA], [false; MAX_AREA]);
+        canvas.predict(s, intra, &mut base);
+        let mut values = [0.0_f32; MAX_AREA];
+        for (i, k) in canvas.places(s).filter(|(i, _)| canvas.mask[*i]) {
+            values[k] = (i32::from(wanted[i]) - base[k]) as f32;
             counts[k] = true;
         }
+        if count < area {
+            let mean = values[..area].iter().sum::<f32>() / count as f32;
+            (0..area).filter(|k| !counts[*k]).for_each(|k| values[k] = mean);
+        }
+        Self { values, counts, area, full: count == area }
     }
-    let shape = canvas.shape(s, intra);
-    let step = canvas.step as f32;
-    if count == area {
-        let mut c = missing;
-        forward(&mut c, s.side);
-        return models.levels.choose(&shape, &c, step, lambda);
-    }
-    let mean = missing[..area].iter().sum::<f32>() / count as f32;
-    for (m, _) in missing[..area].iter_mut().zip(&counts).filter(|(_, c)| !**c) {
-        *m = mean;
-    }
-    let mut best: Option<(Levels, f32)> = None;
-    for _ in 0..=FILLINGS {
-        let mut c = missing;
-        forward(&mut c, s.side);
-        let (levels, price) = models.levels.choose(&shape, &c, step, lambda);
-        let mut coded = [0_i32; MAX_AREA];
-        inverse(&levels, s.side, canvas.step, &mut coded);
-        let mut outside = 0.0;
-        for k in 0..area {
-            if !counts[k] {
-                outside += (missing[k] - coded[k] as f32).powi(2);
-                missing[k] = coded[k] as f32;
+
+    /// The best levels found and their price.
+    fn levels(mut self, models: &BlockModels, shape: &Shape, step: i32, lambda: f32) -> (Levels, f32) {
+        let choose = |values: &[f32; MAX_AREA]| {
+            let mut coefficients = *values;
+            forward(&mut coefficients, shape.side);
+            models.levels.choose(shape, &coefficients, step as f32, lambda)
+        };
+        let mut best = choose(&self.values);
+        if self.full {
+            return best;
+        }
+        best.1 -= self.refill(&best.0, shape.side, step);
+        for _ in 0..FILLINGS {
+            let (levels, price) = choose(&self.values);
+            let price = price - self.refill(&levels, shape.side, step);
+            if price < best.1 {
+                best = (levels, price);
             }
         }
-        let price = price - outside;
-        let better = best.as_ref().is_none_or(|b| price < b.1);
-        if better {
-            best = Some((levels, price));
-        }
+        best
     }
-    best.unwrap_or((Levels { extent: 0, values: vec![0; area] }, 0.0))
+
+    /// Gives the pixels that do not count what is coded for them; returns their squared error before.
+    fn refill(&mut self, levels: &Levels, side: usize, step: i32) -> f32 {
+        let mut coded = [0_i32; MAX_AREA];
+        inverse(levels, side, step, &mut coded);
+        let mut error = 0.0;
+        for k in (0..self.area).filter(|k| !self.counts[*k]) {
+            error += (self.values[k] - coded[k] as f32).powi(2);
+            self.values[k] = coded[k] as f32;
+        }
+        error
+    }
 }

@@ -33,7 +33,7 @@ impl Planes {
     /// When `rgb` does not hold `width` x `height` pixels.
     pub fn from_rgb(width: usize, height: usize, rgb: &[[u8; 3]]) -> Self {
         assert_eq!(rgb.len(), width * height, "picture size and data differ");
-        let mut levels = vec![Vec::with_capacity(rgb.len()); 3];
+        let mut levels: Vec<Vec<i16>> = (0..3).map(|_| Vec::with_capacity(rgb.len())).collect();
         for [r, g, b] in rgb.iter().map(|p| p.map(i32::from)) {
             let co = r - b;
             let t = 2 * b + co;

@@ -111,24 +111,40 @@ fn colours_are_coded_with_the_brightness() {
     }
 }
 
-/// Bytes of a predicted picture, with what they are decoded with.
-fn coded() -> (Vec<u8>, Planes, Vec<bool>, Vec<[i32; 2]>, [usize; 2]) {
-    let (w, h) = (70, 45);
-    let ((first, m1), (second, m2)) = (scene(w, h, 0.0, 0.0), scene(w, h, 1.0, 9.0));
-    let options = Options::with_step(60);
-    let (_, a) = encode(&first, &m1, &[], &mut Models::default(), &options);
-    let places = moved(w, h, 100, 20);
-    let source = Source { planes: &a.planes, places: &places, weight: 256 };
-    let (bytes, _) = encode(&second, &m2, &[source], &mut Models::default(), &options);
-    (bytes, a.planes, m2, places, [w, h])
+/// A predicted picture and what it is decoded with.
+struct Predicted {
+    bytes: Vec<u8>,
+    reference: Planes,
+    mask: Vec<bool>,
+    places: Vec<[i32; 2]>,
+    size: [usize; 2],
+}
+
+impl Predicted {
+    fn new() -> Self {
+        let (w, h) = (70, 45);
+        let ((first, m1), (second, mask)) = (scene(w, h, 0.0, 0.0), scene(w, h, 1.0, 9.0));
+        let options = Options::with_step(60);
+        let reference = encode(&first, &m1, &[], &mut Models::default(), &options).1.planes;
+        let places = moved(w, h, 100, 20);
+        let source = Source { planes: &reference, places: &places, weight: 256 };
+        let (bytes, _) = encode(&second, &mask, &[source], &mut Models::default(), &options);
+        Self { bytes, reference, mask, places, size: [w, h] }
+    }
+
+    fn read(&self, bytes: &[u8], predicted: bool) -> Result<Decoded> {
+        let source = Source { planes: &self.reference, places: &self.places, weight: 256 };
+        let sources: &[Source<'_>] = if predicted { &[source] } else { &[] };
+        decode(bytes, (1, self.size), &self.mask, sources, &mut Models::default())
+    }
 }
 
 #[test]
 fn missing_added_and_wrong_bytes_are_noticed_or_harmless() {
-    let (bytes, planes, mask, places, size) = coded();
-    let source = Source { planes: &planes, places: &places, weight: 256 };
-    let read = |bytes: &[u8]| decode(bytes, (1, size), &mask, &[source], &mut Models::default());
-    assert!(read(&bytes).is_ok());
+    let predicted = Predicted::new();
+    let bytes = &predicted.bytes;
+    let read = |bytes: &[u8]| predicted.read(bytes, true);
+    assert!(read(bytes).is_ok());
     // The mark has eight bits: one wrong ending in 256 may show it by chance.
     let unnoticed = (0..bytes.len()).filter(|n| read(&bytes[..*n]).is_ok()).count();
     assert!(unnoticed <= 1 + bytes.len() / 64, "{unnoticed} of {} prefixes", bytes.len());
@@ -150,11 +166,8 @@ fn missing_added_and_wrong_bytes_are_noticed_or_harmless() {
 proptest! {
     #[test]
     fn any_bytes_end_in_an_error_or_a_picture(bytes in prop::collection::vec(any::<u8>(), 0..400), predicted: bool) {
-        let (_, planes, mask, places, size) = coded();
-        let source = Source { planes: &planes, places: &places, weight: 256 };
-        let sources: &[Source<'_>] = if predicted { &[source] } else { &[] };
         let bytes = [&[100, 0], &bytes[..]].concat();
-        if let Ok(decoded) = decode(&bytes, (1, size), &mask, sources, &mut Models::default()) {
+        if let Ok(decoded) = Predicted::new().read(&bytes, predicted) {
             prop_assert!(decoded.planes.levels[0].iter().all(|v| (0..=255 * 16).contains(v)));
         }
     }
