@@ -78,7 +78,7 @@ pub struct Decoded {
 /// `models` go on with what is learned. Returns the bytes and what [`decode`] makes of them.
 ///
 /// # Panics
-/// When mask, sources and picture do not fit each other, or a step is out of range.
+/// When mask, sources and picture do not fit each other, the picture is empty, or a step is out of range.
 pub fn encode(
     wanted: &Planes,
     mask: &[bool],
@@ -86,11 +86,13 @@ pub fn encode(
     models: &mut Models,
     options: &Options,
 ) -> (Vec<u8>, Decoded) {
+    let (width, height) = (wanted.width, wanted.height);
+    assert!(mask.len() == width * height && width > 0 && height > 0, "one flag a pixel");
     let steps = steps_of(wanted.levels.len(), options);
     assert!(steps.iter().all(|s| (1..=MAX_STEP).contains(s)), "steps are 1 to {MAX_STEP}");
     let mut shifts = match sources {
         [source] if options.refine => shift_search::search(wanted, mask, source),
-        _ => Shifts::none(wanted.width, wanted.height),
+        _ => Shifts::none(width, height),
     };
     let mut bytes: Vec<u8> = steps.iter().flat_map(|s| s.to_le_bytes()).collect();
     let mut out = RangeEncoder::default();
@@ -101,10 +103,10 @@ pub fn encode(
     let expected = carried::expect(sources, &shifts, wanted.shape());
     let mut levels = Vec::with_capacity(steps.len());
     for (p, step) in steps.iter().enumerate() {
-        let mut canvas = Canvas::new(wanted.width, mask, expected.as_ref().map(|e| &e.levels[p][..]), i32::from(*step));
+        let mut canvas = Canvas::new(width, mask, expected.as_ref().map(|e| &e.levels[p][..]), i32::from(*step));
         let models = if p == 0 { &mut models.first } else { &mut models.others };
         let lambda = options.lambda * f32::from(*step).powi(2);
-        for square in squares(wanted.width, wanted.height) {
+        for square in squares(width, height) {
             let (block, _) = choice::choose(&mut canvas, models, &wanted.levels[p], square, lambda);
             let coded = models.code(&mut out, &mut canvas, square, Some(&block));
             debug_assert!(coded.is_some());
@@ -113,7 +115,7 @@ pub fn encode(
     }
     out.raw(END, 8);
     bytes.extend(out.finish());
-    (bytes, Decoded { planes: Planes::continued(wanted.width, levels), shifts })
+    (bytes, Decoded { planes: Planes::continued(width, levels), shifts })
 }
 
 fn steps_of(planes: usize, options: &Options) -> Vec<u16> {
@@ -127,7 +129,7 @@ fn steps_of(planes: usize, options: &Options) -> Vec<u16> {
 /// [`crate::CodecError::Payload`] at the first byte that does not follow FORMAT.md, "Coded texture".
 ///
 /// # Panics
-/// When mask, sources, and size do not fit each other.
+/// When mask, sources and size do not fit each other, or the size is empty.
 pub fn decode(
     bytes: &[u8],
     (planes, [width, height]): (usize, [usize; 2]),
@@ -135,7 +137,7 @@ pub fn decode(
     sources: &[Source<'_>],
     models: &mut Models,
 ) -> Result<Decoded> {
-    assert_eq!(mask.len(), width * height, "one flag a pixel");
+    assert!(mask.len() == width * height && width > 0 && height > 0, "one flag a pixel");
     let mut header = ByteReader::new(bytes, SECTION);
     let mut steps = Vec::with_capacity(planes);
     for _ in 0..planes {

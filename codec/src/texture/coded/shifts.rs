@@ -56,24 +56,18 @@ impl Shifts {
         })
     }
 
-    /// Takes the share `weight` / 256 of this picture's distance to its source out of maps of a picture between the two.
+    /// Moves `places` (1/256 px, of a scan in a picture) by `share` / 256 of the shifts at `at`, where the same pixels lie in
+    /// the picture that these shifts were found for; pixels that one of both does not show stay.
     ///
-    /// `before` says where the pixels of that picture lie in the source, `after` where in this picture; they come from the
-    /// same motion as the map that these shifts correct. A motion that goes astray evenly is off by `weight` / 256 of a shift
-    /// from the source on, and by the rest, backwards, from this picture on.
-    pub fn correct_between(&self, size: [usize; 2], weight: u16, before: &mut [[i32; 2]], after: &mut [[i32; 2]]) {
-        let weight = i32::from(weight);
-        for (b, a) in before.iter_mut().zip(after).filter(|(_, a)| **a != NOWHERE) {
-            let [x, y] = [0, 1].map(|k| ((a[k].clamp(0, 1 << 28) + 128) >> 8) as usize);
-            let shift = self.at(x.min(size[0] - 1), y.min(size[1] - 1));
-            let seen = *b != NOWHERE;
-            for k in 0..2 {
-                let part = (shift[k] * weight) >> 8;
-                a[k] = a[k].saturating_add(part - shift[k]);
-                if seen {
-                    b[k] = b[k].saturating_add(part);
-                }
-            }
+    /// A motion that goes astray evenly from the source (time 0) to this picture (time 1) is off by `t - t0` of a shift
+    /// between a scan at time `t` and a picture at `t0`: that is the share for places of this scan in that picture.
+    pub fn correct(&self, at: &[[i32; 2]], share: i32, places: &mut [[i32; 2]]) {
+        let rows = self.nodes.len() / self.columns;
+        let last = [self.columns, rows].map(|n| (((n - 1) * SPACING - 1) << 8) as i32);
+        for (place, at) in places.iter_mut().zip(at).filter(|(p, a)| **p != NOWHERE && **a != NOWHERE) {
+            let [x, y] = [0, 1].map(|k| ((at[k].clamp(0, last[k]) + 128) >> 8) as usize);
+            let shift = self.at(x, y);
+            *place = [0, 1].map(|k| place[k].saturating_add((shift[k] * share) >> 8));
         }
     }
 
@@ -159,10 +153,13 @@ mod tests {
     fn an_even_error_is_shared_between_the_two_sides() {
         let mut shifts = Shifts::none(32, 32);
         shifts.nodes.fill([16, 8]);
-        let (mut before, mut after) = (vec![[2560, 2560], NOWHERE, [5, 5]], vec![[2048, 2048], [0, 0], NOWHERE]);
-        shifts.correct_between([32, 32], 64, &mut before, &mut after);
+        let after = [[2048, 2048], [-900, 1 << 30], NOWHERE];
+        let mut before = [[2560, 2560], NOWHERE, [5, 5]];
+        shifts.correct(&after, 64, &mut before);
         assert_eq!(before, [[2688, 2624], NOWHERE, [5, 5]]);
-        assert_eq!(after, [[2048 - 384, 2048 - 192], [-384, -192], NOWHERE]);
+        let mut corrected = after;
+        shifts.correct(&after, 64 - 256, &mut corrected);
+        assert_eq!(corrected, [[2048 - 384, 2048 - 192], [-900 - 384, (1 << 30) - 192], NOWHERE]);
     }
 
     proptest! {
