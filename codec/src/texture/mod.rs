@@ -1,6 +1,7 @@
 //! Texture: pictures and the coordinates that tie them to the surface.
 
 mod camera_fit;
+pub mod coded;
 mod jpeg_frame;
 mod key_texture;
 
