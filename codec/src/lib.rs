@@ -15,9 +15,9 @@ pub mod param;
 mod picture;
 mod player;
 mod scan;
-mod stamps;
 pub mod seed;
 pub mod shot;
+mod stamps;
 mod stream_header;
 pub mod texture;
 

@@ -85,4 +85,3 @@ pub fn take_stamps(reader: &mut ByteReader<'_>, scan_period_nanos: u64) -> Resul
     }
     if stamps.is_empty() { Err(reader.error("a group without scans")) } else { Ok(stamps) }
 }
-

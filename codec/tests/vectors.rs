@@ -12,8 +12,11 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// Groups are read under the header of `stream_header-example`.
-const HEADER: StreamHeader =
-    StreamHeader { mode: Mode::Seed { position_step_mm: 0.0625 }, keyframe_interval: 10, scan_period_nanos: 33_333_333 };
+const HEADER: StreamHeader = StreamHeader {
+    mode: Mode::Seed { position_step_mm: 0.0625 },
+    keyframe_interval: 10,
+    scan_period_nanos: 33_333_333,
+};
 
 const CAMERA: [f32; 12] = [8.0, 0.0, 0.0, 320.0, 0.0, -8.0, 0.0, 240.0, 0.0, 0.0, 0.0, 1.0];
 
@@ -33,8 +36,13 @@ fn describe(kind: &str, bytes: &[u8]) -> Result<String, CodecError> {
         "stream_header" => {
             let h = StreamHeader::decode(bytes)?;
             writeln!(out, "mode {}\nkeyframe_interval {}", h.mode.name(), h.keyframe_interval).unwrap();
-            writeln!(out, "scan_period_nanos {}\nposition_step_mm {}", h.scan_period_nanos, h.position_step_mm().unwrap())
-                .unwrap();
+            writeln!(
+                out,
+                "scan_period_nanos {}\nposition_step_mm {}",
+                h.scan_period_nanos,
+                h.position_step_mm().unwrap()
+            )
+            .unwrap();
         }
         "group" => {
             let g = decode_group(&HEADER, bytes)?;

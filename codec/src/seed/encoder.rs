@@ -2,8 +2,8 @@
 
 use super::group;
 use super::landmarks::{GivenLandmark, LandmarkTrail};
-use crate::encoder::{EncodedGroup, Pushed};
 use super::surface::{self, TextureFrame};
+use crate::encoder::{EncodedGroup, Pushed};
 use crate::mesh::TriMesh;
 use crate::mesh::repair::{RepairOptions, RepairReport, to_disk};
 use crate::mesh::simplify::{SimplifyOptions, simplify};

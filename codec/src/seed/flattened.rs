@@ -99,8 +99,8 @@ fn nearest_pairs(earlier: &Flattened, later: &Flattened) -> Vec<(DVec2, DVec2)> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bits::connectivity::tests::random_disk;
     use crate::Stamp;
+    use crate::bits::connectivity::tests::random_disk;
     use glam::Vec3;
     use proptest::prelude::*;
 

@@ -3,9 +3,9 @@
 use super::surface;
 use crate::bits::attributes::{put_section, take_section};
 use crate::bits::bytes::{ByteReader, put_varint};
-use crate::stamps::{MAX_TICK, Stamp, check_stamps, put_stamps, take_stamps};
 use crate::mesh::TriMesh;
 use crate::param::locate::Place;
+use crate::stamps::{MAX_TICK, Stamp, check_stamps, put_stamps, take_stamps};
 use crate::{CodecError, Result, StreamHeader};
 
 /// Most landmarks a keyframe carries.
@@ -132,8 +132,11 @@ mod tests {
     use crate::Mode;
     use crate::bits::connectivity::tests::random_disk;
 
-    const HEADER: StreamHeader =
-        StreamHeader { mode: Mode::Seed { position_step_mm: 0.05 }, keyframe_interval: 10, scan_period_nanos: 33_333_333 };
+    const HEADER: StreamHeader = StreamHeader {
+        mode: Mode::Seed { position_step_mm: 0.05 },
+        keyframe_interval: 10,
+        scan_period_nanos: 33_333_333,
+    };
 
     fn example() -> Vec<u8> {
         let mesh = random_disk(&(0..30).map(|i: u16| i.wrapping_mul(7919)).collect::<Vec<u16>>());

@@ -331,7 +331,13 @@ mod tests {
             .map(|i| [(i % CONTROL_SIDE) as i32 * 40, (i / CONTROL_SIDE) as i32 * -41, (i * i % 17) as i32])
             .collect();
         let residuals = (0..GRID_SIDE * GRID_SIDE)
-            .map(|i| if on_disk(i % GRID_SIDE, i / GRID_SIDE) && (i % 61 == 0 || i % 64 == i / GRID_SIDE % 64) { (i % 9) as i32 - 4 } else { 0 })
+            .map(|i| {
+                if on_disk(i % GRID_SIDE, i / GRID_SIDE) && (i % 61 == 0 || i % 64 == i / GRID_SIDE % 64) {
+                    (i % 9) as i32 - 4
+                } else {
+                    0
+                }
+            })
             .collect();
         let base = CodedBase { control_step: 64, control, displacement_step: 38, residuals };
         let mut out = RangeEncoder::default();

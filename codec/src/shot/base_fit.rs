@@ -52,7 +52,7 @@ pub fn fit_base(disk: &TriMesh, image: &ScanImage, view: &View, options: &BaseOp
 }
 
 /// Fits a base whose grid nodes stay the points that they are: `moved` is where the model before has them now, units; the
-/// surface is taken from `image` where it is seen, and kept elsewhere.
+/// surface is taken from `image` where it is seen, and goes on smoothly elsewhere.
 ///
 /// # Errors
 /// [`crate::CodecError::Mesh`] when the positions are degenerate.
@@ -64,13 +64,7 @@ pub fn refit_base(moved: &[[i32; 3]], image: &ScanImage, view: &View, options: &
         nodes.filter(|&(x, y)| on_disk(x, y)).map(|(x, y)| (x, y, to_mm(moved[y * GRID_SIDE + x]))).collect();
     let control = quantized_control(&fit_control(&targets, options.bending)?, options);
     let (surface, normals) = control_surface(&control, options.control_step);
-    let seen = smooth(&wanted_displacement(&surface, &normals, image, &view.moved(image.window.offset)));
-    let kept = |i: usize| {
-        let along: i64 =
-            (0..3).map(|c| i64::from(moved[i][c] - surface[i][c]) * i64::from(normals[i][c])).sum::<i64>();
-        along as f64 / f64::from(1 << DIRECTION_BITS)
-    };
-    let wanted: Vec<Option<f64>> = seen.iter().enumerate().map(|(i, d)| d.or_else(|| Some(kept(i)))).collect();
+    let wanted = smooth(&wanted_displacement(&surface, &normals, image, &view.moved(image.window.offset)));
     Ok(coded(control, &wanted, options))
 }
 
@@ -81,12 +75,7 @@ fn quantized_control(lattice: &[DVec3], options: &BaseOptions) -> Nodes {
 
 fn coded(control: Nodes, wanted: &[Option<f64>], options: &BaseOptions) -> CodedBase {
     let residuals = quantize(wanted, options);
-    CodedBase {
-        control_step: options.control_step,
-        control,
-        displacement_step: options.displacement_step,
-        residuals,
-    }
+    CodedBase { control_step: options.control_step, control, displacement_step: options.displacement_step, residuals }
 }
 
 fn place(x: usize, y: usize) -> DVec2 {

@@ -89,7 +89,8 @@ fn made_up(scan: &Scan, facing: DVec3) -> Result<(CameraFit, Window)> {
     };
     let ((left, right_end), (bottom, top)) = (extent(right), extent(up));
     let size = (right_end - left).max(top - bottom);
-    let pixel_mm = (2.0 * area_mm2 / mesh.triangles.len() as f64).sqrt().max(size * (1.0 + 2.0 * MARGIN) / MAX_MADE_UP_PX);
+    let pixel_mm =
+        (2.0 * area_mm2 / mesh.triangles.len() as f64).sqrt().max(size * (1.0 + 2.0 * MARGIN) / MAX_MADE_UP_PX);
     if !(pixel_mm > 0.0 && size.is_finite()) {
         return Err(no_area());
     }

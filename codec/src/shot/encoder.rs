@@ -1,5 +1,6 @@
 //! Encoder of the default mode: scans in, a group out whenever a keyframe closes it.
 
+use super::anchors::{Anchors, TrackedPixel};
 use super::base_fit::{BaseOptions, fit_base, refit_base};
 use super::camera::ShotCamera;
 use super::group::{self, Chain, MAX_GROUP_PIXELS, MAX_SCANS, NewBase, Start};
@@ -16,12 +17,19 @@ use crate::bits::range_coder::RangeEncoder;
 use crate::encoder::{EncodedGroup, Pushed};
 use crate::mesh::repair::{RepairOptions, RepairReport, to_disk};
 use crate::mesh::simplify::{SimplifyOptions, simplify};
+use crate::motion::{Mask, Tracker, TrackerOptions};
 use crate::seed::GivenCounts;
 use crate::{CodecError, Mode, Result, Scan, Stamp, StreamHeader};
 use std::sync::Arc;
 
 /// Vertices of the disk that a base is mapped from.
 const BASE_VERTICES: usize = 20_000;
+/// Squared tolerances that a bit of the lattice may cost.
+const LATTICE_WORTH: f64 = 0.6;
+/// Squared tolerances, summed over pixels, that a bit of a keyframe's patches may cost: they last.
+const KEY_WORTH: f64 = 5.0;
+/// The same for scans between keyframes.
+const BETWEEN_WORTH: f64 = 25.0;
 /// A registration that matches less of the model than this has lost it.
 const MIN_MATCHED: f64 = 0.5;
 
@@ -47,7 +55,14 @@ impl ShotConfig {
     pub fn new(scan_period_nanos: u64) -> Self {
         let steps = Steps::default();
         let header = StreamHeader { mode: Mode::Shots(steps), keyframe_interval: 10, scan_period_nanos };
-        Self { header, steps, tolerance_mm: 0.1, max_error_mm: None, refresh_groups: 8, repair: RepairOptions::default() }
+        Self {
+            header,
+            steps,
+            tolerance_mm: 0.1,
+            max_error_mm: None,
+            refresh_groups: 8,
+            repair: RepairOptions::default(),
+        }
     }
 }
 
@@ -64,16 +79,9 @@ impl ShotConfig {
         let units = f64::from(super::UNITS_PER_MM);
         let tolerance2 = self.tolerance_mm * self.tolerance_mm;
         let bound = self.max_error_mm.map(|mm| (mm * units) as i32);
-        let env = |n: &str, d: f64| std::env::var(n).ok().and_then(|v| v.parse().ok()).unwrap_or(d);
         let fidelity = |factor: f64| Fidelity { patch_lambda: (factor * tolerance2 * units * units) as f32, bound };
-        let register = RegisterOptions {
-            lambda: env("LM", 0.3) * tolerance2,
-            pull: env("PULL", 0.001) as f32,
-            bending: env("BEND", 0.001) as f32,
-            stride: env("STRIDE", 3.0) as usize,
-            rounds: 2,
-        };
-        Tradeoff { key: fidelity(env("LK", 5.0)), between: fidelity(env("LB", 25.0)), register }
+        let register = RegisterOptions { lambda: LATTICE_WORTH * tolerance2, ..RegisterOptions::default() };
+        Tradeoff { key: fidelity(KEY_WORTH), between: fidelity(BETWEEN_WORTH), register }
     }
 }
 
@@ -92,6 +100,7 @@ pub struct GroupCost {
 struct Pending {
     stamp: Stamp,
     image: ScanImage,
+    tracked: Vec<TrackedPixel>,
 }
 
 /// Encoder of one run.
@@ -102,6 +111,8 @@ pub struct Encoder {
     groups_since_base: u32,
     groups_since_shot: u64,
     pending: Vec<Pending>,
+    tracker: Tracker,
+    anchors: Anchors,
     last: Option<Scan>,
     last_stamp: Option<Stamp>,
     next_key_tick: u64,
@@ -133,6 +144,8 @@ impl Encoder {
             groups_since_base: 0,
             groups_since_shot: 0,
             pending: Vec::new(),
+            tracker: Tracker::new(TrackerOptions::default()),
+            anchors: Anchors::default(),
             last: None,
             last_stamp: None,
             next_key_tick: 0,
@@ -154,11 +167,12 @@ impl Encoder {
             return Err(CodecError::Stream(format!("scan at tick {} does not follow the one before it", scan.tick)));
         }
         scan.mesh.validate()?;
-        let seen = self.camera.and_then(|c| Some((c, c.window(&scan)?)));
-        let due = seen.is_none() || stamp.tick >= self.next_key_tick || self.is_full();
+        let image = self.camera.and_then(|c| Some(ScanImage::new(&scan, &c.view, c.window(&scan)?)));
+        let due = image.is_none() || stamp.tick >= self.next_key_tick || self.is_full();
+        let tracked = self.track(&scan, image.as_ref(), due);
         let mut pushed = Pushed::default();
         if due {
-            match self.code_key(&scan, stamp) {
+            match self.code_key(&scan, stamp, image.as_ref(), &tracked) {
                 Ok(key) => {
                     pushed.repair = key.repair.clone().filter(RepairReport::has_damage);
                     pushed.group = Some(self.close_group(stamp, key)?);
@@ -166,12 +180,12 @@ impl Encoder {
                     self.last_stamp = Some(stamp);
                     return Ok(pushed);
                 }
-                Err(error) if seen.is_none() => return Err(error),
+                Err(error) if image.is_none() => return Err(error),
                 Err(error) => pushed.not_key = Some(error),
             }
         }
-        if let Some((camera, window)) = seen {
-            self.pending.push(Pending { stamp, image: ScanImage::new(&scan, &camera.view, window) });
+        if let Some(image) = image {
+            self.pending.push(Pending { stamp, image, tracked });
             self.last = Some(scan);
             self.last_stamp = Some(stamp);
         }
@@ -183,10 +197,20 @@ impl Encoder {
     /// # Errors
     /// [`CodecError::Mesh`] when that scan cannot be a keyframe.
     pub fn finish(mut self) -> Result<Option<EncodedGroup>> {
-        let (Some(scan), Some(_)) = (self.last.take(), self.pending.pop()) else { return Ok(None) };
-        let stamp = Stamp { tick: scan.tick, time_nanos: scan.time_nanos };
-        let key = self.code_key(&scan, stamp)?;
-        self.close_group(stamp, key).map(Some)
+        let (Some(scan), Some(last)) = (self.last.take(), self.pending.pop()) else { return Ok(None) };
+        let key = self.code_key(&scan, last.stamp, Some(&last.image), &last.tracked)?;
+        self.close_group(last.stamp, key).map(Some)
+    }
+
+    /// Follows the texture to this scan.
+    fn track(&mut self, scan: &Scan, image: Option<&ScanImage>, is_key: bool) -> Vec<TrackedPixel> {
+        let (Some(picture), Some(image)) = (&scan.texture, image) else { return Vec::new() };
+        if (picture.width_px as usize, picture.height_px as usize) != (image.window.width, image.window.height) {
+            return Vec::new();
+        }
+        let mask = Mask::new(picture.width_px, picture.height_px, image.mask());
+        self.tracker.feed(picture, &mask, is_key);
+        self.tracker.tracks().iter().map(|t| (t.id, t.px)).collect()
     }
 
     fn is_full(&self) -> bool {
@@ -196,24 +220,32 @@ impl Encoder {
     }
 
     /// The keyframe as the shot goes on, or with a new base where it must.
-    fn code_key(&mut self, scan: &Scan, stamp: Stamp) -> Result<CodedKey> {
-        let seen = self.camera.and_then(|c| Some((c, c.window(scan)?)));
-        if let (Some((camera, window)), Some(chain)) = (seen, self.chain.clone()) {
-            let image = ScanImage::new(scan, &camera.view, window);
+    fn code_key(
+        &mut self,
+        scan: &Scan,
+        stamp: Stamp,
+        image: Option<&ScanImage>,
+        tracked: &[TrackedPixel],
+    ) -> Result<CodedKey> {
+        if let (Some(image), Some(chain)) = (image, self.chain.clone()) {
             let predicted = chain.keys.predict(stamp.tick)?.unwrap_or_default();
-            let found = self.register(&chain.model, &predicted, &image);
+            let found = self.register(&chain.model, &predicted, image, tracked);
             if found.matched >= MIN_MATCHED {
-                if self.groups_since_base < self.config.refresh_groups {
-                    return Ok(self.continued(stamp, &image, chain, &predicted, &found.correction));
-                }
-                return self.refreshed(stamp, &image, &chain, &predicted, found.correction);
+                let key = if self.groups_since_base < self.config.refresh_groups {
+                    self.continued(stamp, image, chain, &predicted, &found.correction)
+                } else {
+                    self.refreshed(stamp, image, &chain, &predicted, (found.correction, tracked))?
+                };
+                self.anchors.renew(tracked, &key.chain.model, &key.chain.keys.scans[&stamp.tick], image);
+                return Ok(key);
             }
         }
-        self.begun(scan, stamp)
+        self.begun(scan, stamp, tracked)
     }
 
-    fn register(&self, model: &Model, predicted: &Motion, image: &ScanImage) -> Registered {
-        register(model, predicted, image, &self.config.steps.motion, &self.config.tradeoff().register)
+    fn register(&self, model: &Model, predicted: &Motion, image: &ScanImage, tracked: &[TrackedPixel]) -> Registered {
+        let points = (&self.anchors, tracked);
+        register(model, predicted, image, points, &self.config.steps.motion, &self.config.tradeoff().register)
     }
 
     fn continued(
@@ -225,8 +257,7 @@ impl Encoder {
         correction: &Correction,
     ) -> CodedKey {
         let references = chain.keys.references(stamp.tick);
-        let context =
-            Context { model: &chain.model, steps: &self.config.steps, predicted, references: &references };
+        let context = Context { model: &chain.model, steps: &self.config.steps, predicted, references: &references };
         let mut models = chain.models.clone();
         let mut out = RangeEncoder::default();
         let fidelity = self.config.tradeoff().key;
@@ -242,17 +273,17 @@ impl Encoder {
         image: &ScanImage,
         chain: &Chain,
         predicted: &Motion,
-        bridge: Correction,
+        (bridge, tracked): (Correction, &[TrackedPixel]),
     ) -> Result<CodedKey> {
         let motion = bridge.apply(predicted, &chain.model.frames, &self.config.steps.motion);
         let moved = motion.grid_positions(&chain.model.base);
         let base = refit_base(&moved, image, &chain.model.view, &self.base_options())?;
         let new = NewBase { view: chain.model.view, edge_step: chain.model.edge_step, base };
-        let key = self.with_base(stamp, image, Start::Refreshes, new);
+        let key = self.with_base(stamp, image, (Start::Refreshes, new), tracked);
         Ok(CodedKey { bridge: Some(bridge), ..key })
     }
 
-    fn begun(&mut self, scan: &Scan, stamp: Stamp) -> Result<CodedKey> {
+    fn begun(&mut self, scan: &Scan, stamp: Stamp, tracked: &[TrackedPixel]) -> Result<CodedKey> {
         let camera = ShotCamera::of(scan)?;
         let window = camera.window(scan).ok_or_else(|| CodecError::Mesh("its camera does not see it".into()))?;
         let image = ScanImage::new(scan, &camera.view, window);
@@ -260,17 +291,24 @@ impl Encoder {
         let (small, _) = simplify(&disk, BASE_VERTICES, &SimplifyOptions::default())?;
         let base = fit_base(&small, &image, &camera.view, &self.base_options())?;
         let new = NewBase { view: camera.view, edge_step: image.edge_step(scan), base };
-        let key = self.with_base(stamp, &image, Start::Begins, new);
+        self.anchors.clear();
+        let key = self.with_base(stamp, &image, (Start::Begins, new), tracked);
+        self.anchors.renew(tracked, &key.chain.model, &key.chain.keys.scans[&stamp.tick], &image);
         self.camera = Some(camera);
         Ok(CodedKey { repair: Some(report), ..key })
     }
 
-    fn with_base(&self, stamp: Stamp, image: &ScanImage, start: Start, new: NewBase) -> CodedKey {
+    fn with_base(
+        &self,
+        stamp: Stamp,
+        image: &ScanImage,
+        (start, new): (Start, NewBase),
+        tracked: &[TrackedPixel],
+    ) -> CodedKey {
         let model = Arc::new(Model::new(&new, self.config.steps.flat));
-        let chain =
-            Chain { model, key_tick: stamp.tick, keys: Decoded::default(), models: ScanModels::default() };
+        let chain = Chain { model, key_tick: stamp.tick, keys: Decoded::default(), models: ScanModels::default() };
         let predicted = Motion::default();
-        let found = self.register(&chain.model, &predicted, image);
+        let found = self.register(&chain.model, &predicted, image, tracked);
         let key = self.continued(stamp, image, chain, &predicted, &found.correction);
         CodedKey { start, new_base: Some(new), ..key }
     }
@@ -329,7 +367,7 @@ impl Encoder {
             let predicted = decoded.predict(ticks[i])?.unwrap_or_default();
             let references = decoded.references(ticks[i]);
             let context = Context { model: &before.model, steps, predicted: &predicted, references: &references };
-            let found = self.register(&before.model, &predicted, &pending[i].image);
+            let found = self.register(&before.model, &predicted, &pending[i].image, &pending[i].tracked);
             let coder = (&mut out, &mut models);
             let fidelity = self.config.tradeoff().between;
             let (scan, spent): (SeenScan, Spent) =

@@ -5,8 +5,7 @@
 
 use super::UNITS_PER_MM;
 use super::base::Base;
-use super::base_fit::fine_weights;
-use super::lattice::{FINE_SIDE, GRID_SIDE, LEVEL_SIDES, span_of};
+use super::lattice::{FINE_SIDE, GRID_SIDE, LEVEL_SIDES};
 use glam::{DMat3, DVec3};
 
 /// Nodes that a node's basis function overlaps, a side.
@@ -62,10 +61,10 @@ impl LevelSystem {
             let a = (wx[i] * wy[j]) as f32;
             let scaled = outer.map(|o| o * a);
             let node = (sy + j) * self.side + sx + i;
-            for jj in 0..4 {
+            for (jj, wy) in wy.iter().enumerate() {
                 let row = (node * STENCIL + jj + 3 - j) * STENCIL + 3 - i;
-                for ii in 0..4 {
-                    let b = (wx[ii] * wy[jj]) as f32;
+                for (ii, wx) in wx.iter().enumerate() {
+                    let b = (wx * wy) as f32;
                     for (block, o) in self.blocks[row + ii].iter_mut().zip(&scaled) {
                         *block += o * b;
                     }
@@ -197,10 +196,10 @@ pub fn systems(equations: &[Equation], bending: f32, pull: f32) -> [LevelSystem;
     })
 }
 
-/// Displacement (mm) of a lattice in 1/16 units at a grid node.
-pub fn displacement_mm(nodes: &[[i32; 3]], x: usize, y: usize) -> DVec3 {
-    let ((sx, px), (sy, py)) = (span_of(x), span_of(y));
-    let (wx, wy) = (fine_weights(px), fine_weights(py));
+/// Displacement (mm) of a lattice in 1/16 units anywhere on the grid.
+pub fn displacement_at_mm(nodes: &[[i32; 3]], grid: [f64; 2]) -> DVec3 {
+    let system = LevelSystem { side: FINE_SIDE, blocks: Vec::new() };
+    let ((sx, wx), (sy, wy)) = (system.axis(grid[0]), system.axis(grid[1]));
     let mut sum = DVec3::ZERO;
     for k in 0..16 {
         let c = nodes[(sy + k / 4) * FINE_SIDE + sx + k % 4];
@@ -209,7 +208,11 @@ pub fn displacement_mm(nodes: &[[i32; 3]], x: usize, y: usize) -> DVec3 {
     sum / f64::from(UNITS_PER_MM << super::motion::NODE_BITS)
 }
 
-/// Base point (mm) at a grid node.
-pub fn base_mm(base: &Base, x: usize, y: usize) -> DVec3 {
-    DVec3::from_array(base.positions[y * GRID_SIDE + x].map(f64::from)) / f64::from(UNITS_PER_MM)
+/// Base point (mm) anywhere on the grid, bilinear between its nodes.
+pub fn base_at_mm(base: &Base, [x, y]: [f64; 2]) -> DVec3 {
+    let (i, j) = ((x as usize).min(GRID_SIDE - 2), (y as usize).min(GRID_SIDE - 2));
+    let (u, v) = (x - i as f64, y - j as f64);
+    let at = |i: usize, j: usize| DVec3::from_array(base.positions[j * GRID_SIDE + i].map(f64::from));
+    let mixed = at(i, j).lerp(at(i + 1, j), u).lerp(at(i, j + 1).lerp(at(i + 1, j + 1), u), v);
+    mixed / f64::from(UNITS_PER_MM)
 }

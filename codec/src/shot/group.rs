@@ -114,7 +114,11 @@ impl<'a> Parts<'a> {
         if start != Start::Continues {
             let view = take_view(&mut reader)?;
             let edge_step = reader.varint_up_to(1 << 24, "edge step")? as i32;
-            let since = if start == Start::Refreshes { reader.varint_up_to(1 << 40, "groups since the shot began")? } else { 0 };
+            let since = if start == Start::Refreshes {
+                reader.varint_up_to(1 << 40, "groups since the shot began")?
+            } else {
+                0
+            };
             head = Some((view, edge_step, since));
             base = take_section(&mut reader, "base length")?;
         }

@@ -2,6 +2,7 @@
 //!
 //! Everything that something else is predicted from is an integer: lengths in units of 1/256 mm, pixels in 1/256 px.
 
+pub mod anchors;
 pub mod as_scan;
 pub mod base;
 pub mod base_fit;

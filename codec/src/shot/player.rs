@@ -121,9 +121,12 @@ impl Player {
         if let Some(Link { chain, shot }) = &before {
             let between = parts.decode_between(&self.steps, Some(chain), &link.chain).map_err(E::from)?;
             let model = &chain.model;
-            shown.extend(
-                between.into_iter().map(|(stamp, scan)| Shown { stamp, scan, model: Arc::clone(model), shot: *shot }),
-            );
+            shown.extend(between.into_iter().map(|(stamp, scan)| Shown {
+                stamp,
+                scan,
+                model: Arc::clone(model),
+                shot: *shot,
+            }));
         } else if parts.stamps.len() > 1 {
             parts.decode_between(&self.steps, None, &link.chain).map_err(E::from)?;
         }

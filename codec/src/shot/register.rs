@@ -5,9 +5,10 @@
 //! where that costs least for what it gains.
 
 use super::UNITS_PER_MM;
+use super::anchors::{Anchors, TrackedPixel};
 use super::base::DIRECTION_BITS;
 use super::descent::descend;
-use super::fit::{Equation, LevelSystem, displacement_mm, restrict, right_side, systems};
+use super::fit::{Equation, LevelSystem, displacement_at_mm, restrict, right_side, systems};
 use super::frames::to_space;
 use super::lattice::{FINE_SIDE, GRID_CELLS, GRID_SIDE, LEVEL_SIDES, Nodes, evaluate, refine};
 use super::model::Model;
@@ -29,6 +30,15 @@ const MATCHED_RADIUS: f64 = 117.0 / 128.0;
 /// Scale of a quaternion whose scalar part is one.
 const TURN_UNIT: f64 = (1 << 14) as f64;
 
+/// Weight of a tracked point that leads the way, beside one matched along its normal.
+const LEADING: f64 = 3.0;
+/// Weight of one that only keeps the surface from sliding: more would pay for tangential noise.
+const ANCHORING: f64 = 0.1;
+/// Fewer tracked points than this say nothing by themselves.
+const MIN_TRACKED: usize = 30;
+/// How much stiffer the lattice is while tracked points alone move it.
+const SMOOTHER: f32 = 20.0;
+
 /// How to register.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RegisterOptions {
@@ -46,18 +56,23 @@ pub struct RegisterOptions {
 
 impl Default for RegisterOptions {
     fn default() -> Self {
-        Self { stride: 3, lambda: 0.003, pull: 0.001, bending: 0.001, rounds: 2 }
+        Self { stride: 3, lambda: 0.006, pull: 0.001, bending: 0.001, rounds: 2 }
     }
 }
 
-/// A point of the model and the scan's surface where it is seen.
-struct Hit {
-    node: [usize; 2],
-    at_mm: DVec3,
-    normal: DVec3,
-    /// Of the scan along its normal, mm.
-    distance_mm: f64,
-    weight: f64,
+/// A point of the model and how far along a direction the scan's surface lies from it.
+#[derive(Debug, Clone, Copy)]
+pub struct Hit {
+    /// Grid position.
+    pub grid: [f64; 2],
+    /// Where the point is, mm.
+    pub at_mm: DVec3,
+    /// Direction, the scan's normal for points that are matched by their pixel.
+    pub normal: DVec3,
+    /// Distance along it, mm.
+    pub distance_mm: f64,
+    /// Weight.
+    pub weight: f64,
 }
 
 /// A model found in a scan.
@@ -74,21 +89,33 @@ pub fn register(
     model: &Model,
     predicted: &Motion,
     image: &ScanImage,
+    (anchors, tracked): (&Anchors, &[TrackedPixel]),
     steps: &MotionSteps,
     options: &RegisterOptions,
 ) -> Registered {
     let mut correction = Correction::default();
     let mut now = predicted.clone();
     let mut matched = 0.0;
+    let along = |now: &Motion, weight: f64| anchors.hits(tracked, model, now, (image, weight));
     for _ in 0..2 {
-        let hits = hits(model, &now, image, options.stride, 0.5);
+        let mut hits = hits(model, &now, image, options.stride, 0.5);
+        hits.extend(along(&now, LEADING));
         correction.pose = pose_steps(&hits, &now, predicted, steps);
+        now = correction.apply(predicted, &model.frames, steps);
+    }
+    // Tracked points alone first: what has moved far is not met by its own pixels.
+    let first = along(&now, LEADING);
+    if first.len() >= 3 * MIN_TRACKED {
+        let equations = equations(&first, &now, predicted);
+        let smooth = RegisterOptions { bending: options.bending * SMOOTHER, ..*options };
+        correction.levels = quantize(model, &equations, steps, options.lambda * 0.3, &smooth);
         now = correction.apply(predicted, &model.frames, steps);
     }
     for round in 0..options.rounds {
         let is_last = round + 1 == options.rounds;
-        let hits = hits(model, &now, image, options.stride, if round == 0 { 1.0 } else { 0.3 });
+        let mut hits = hits(model, &now, image, options.stride, if round == 0 { 1.0 } else { 0.3 });
         matched = share(&hits, options.stride);
+        hits.extend(along(&now, ANCHORING));
         let equations = equations(&hits, &now, predicted);
         let lambda = if is_last { options.lambda } else { options.lambda * 0.3 };
         correction.levels = quantize(model, &equations, steps, lambda, options);
@@ -129,7 +156,8 @@ fn hits(model: &Model, motion: &Motion, image: &ScanImage, stride: usize, scale_
                 && sample.normal.dot(toward) >= MIN_FACING
                 && distance_mm.abs() <= GATE_MM;
             let weight = 1.0 / (1.0 + (distance_mm / scale_mm).powi(2));
-            is_match.then_some(Hit { node, at_mm, normal: sample.normal, distance_mm, weight })
+            let grid = node.map(|v| v as f64);
+            is_match.then_some(Hit { grid, at_mm, normal: sample.normal, distance_mm, weight })
         })
         .collect()
 }
@@ -153,7 +181,8 @@ fn pose_steps(hits: &[Hit], now: &Motion, predicted: &Motion, steps: &MotionStep
     let turn = now.pose.turn.map(|v| f64::from(v) / TURN_UNIT);
     let by = DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2]));
     let turned = (by * DQuat::from_xyzw(turn[0], turn[1], turn[2], 1.0)).to_array();
-    let shifted = by * (DVec3::from_array(now.pose.shift.map(f64::from)) / units) + DVec3::new(step[3], step[4], step[5]);
+    let shifted =
+        by * (DVec3::from_array(now.pose.shift.map(f64::from)) / units) + DVec3::new(step[3], step[4], step[5]);
     std::array::from_fn(|i| {
         let (wanted, before, step) = if i < 3 {
             (turned[i] / turned[3] * TURN_UNIT, predicted.pose.turn[i], steps.turn)
@@ -166,18 +195,16 @@ fn pose_steps(hits: &[Hit], now: &Motion, predicted: &Motion, steps: &MotionStep
 
 /// Gauss-Jordan elimination of a positive definite system; what cannot be seen stays.
 fn solve(mut system: [[f64; 7]; 6]) -> [f64; 6] {
-    for i in 0..6 {
-        system[i][i] = system[i][i] * (1.0 + 1e-6) + 1e-9;
+    for (i, line) in system.iter_mut().enumerate() {
+        line[i] = line[i] * (1.0 + 1e-6) + 1e-9;
     }
     for i in 0..6 {
-        let pivot = system[i][i];
-        system[i].iter_mut().for_each(|v| *v /= pivot);
-        let line = system[i];
-        for (k, other) in system.iter_mut().enumerate().filter(|(k, _)| *k != i) {
-            debug_assert_ne!(k, i);
+        let line = system[i].map(|v| v / system[i][i]);
+        for other in &mut system {
             let factor = other[i];
             other.iter_mut().zip(line).for_each(|(v, l)| *v -= factor * l);
         }
+        system[i] = line;
     }
     system.map(|line| line[6])
 }
@@ -188,10 +215,9 @@ fn equations(hits: &[Hit], now: &Motion, predicted: &Motion) -> Vec<Equation> {
     hits.iter()
         .map(|hit| {
             let direction = back * hit.normal;
-            let [x, y] = hit.node;
-            let already = displacement_mm(&now.nodes, x, y) - displacement_mm(&predicted.nodes, x, y);
+            let already = displacement_at_mm(&now.nodes, hit.grid) - displacement_at_mm(&predicted.nodes, hit.grid);
             Equation {
-                grid: [x as f64, y as f64],
+                grid: hit.grid,
                 direction,
                 distance_mm: hit.distance_mm + direction.dot(already),
                 weight: hit.weight,

@@ -184,7 +184,8 @@ impl WindowModels {
                 (reader.wide(&mut self.size)? as usize, reader.wide(&mut self.size)? as usize);
         }
         let side = 1..=MAX_SIDE as usize;
-        if !side.contains(&window.width) || !side.contains(&window.height) || window.width * window.height > MAX_PIXELS {
+        if !side.contains(&window.width) || !side.contains(&window.height) || window.width * window.height > MAX_PIXELS
+        {
             let reason = format!("a scan of {}x{} pixels; 1 to {MAX_SIDE} a side", window.width, window.height);
             return Err(reader.error(reason));
         }

@@ -70,10 +70,12 @@ impl ScanImage {
         };
         let mut out = vec![0.5; self.depth.len()];
         for y in 1..height.saturating_sub(1) {
-            for i in y * width + 1..y * width + width - 1 {
+            let row = &mut out[y * width..(y + 1) * width];
+            for (x, out) in row.iter_mut().enumerate().take(width - 1).skip(1) {
+                let i = y * width + x;
                 if self.depth[i] != NOTHING {
                     let (x, y) = (slope(i - 1, i + 1), slope(i - width, i + width));
-                    out[i] = 1.0 / (1.0 + x * x + y * y);
+                    *out = 1.0 / (1.0 + x * x + y * y);
                 }
             }
         }
@@ -93,10 +95,15 @@ impl ScanImage {
     /// The largest depth step along an edge of the scan, units: neighbours farther apart are not joined.
     pub fn edge_step(&self, scan: &Scan) -> i32 {
         let depth: Vec<f64> = scan.mesh.positions_mm.iter().map(|p| self.back.depth_of(p.as_dvec3())).collect();
-        let mut steps: Vec<f64> = scan.mesh.triangles.iter().map(|t| {
-            let d = t.map(|v| depth[v as usize]);
-            d.iter().copied().fold(f64::MIN, f64::max) - d.iter().copied().fold(f64::MAX, f64::min)
-        }).collect();
+        let mut steps: Vec<f64> = scan
+            .mesh
+            .triangles
+            .iter()
+            .map(|t| {
+                let d = t.map(|v| depth[v as usize]);
+                d.iter().copied().fold(f64::MIN, f64::max) - d.iter().copied().fold(f64::MAX, f64::min)
+            })
+            .collect();
         steps.sort_by(f64::total_cmp);
         // A few triangles of a mended mesh may be longer than any of the scanner's.
         let step = steps.get(steps.len().saturating_sub(1 + steps.len() / 2000)).copied().unwrap_or(0.0);
