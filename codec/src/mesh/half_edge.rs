@@ -321,7 +321,7 @@ fn pair_bucket(bucket: &mut [(u32, u32)], twin: &mut [u32], group: &mut Vec<u32>
 }
 
 /// One outgoing half-edge a vertex; the boundary one wins.
-fn outgoing_half_edges(vertex_count: usize, origin: &[u32], twin: &[u32]) -> Vec<u32> {
+pub(crate) fn outgoing_half_edges(vertex_count: usize, origin: &[u32], twin: &[u32]) -> Vec<u32> {
     let mut outgoing = vec![NONE; vertex_count];
     for (h, &v) in origin.iter().enumerate() {
         if outgoing[v as usize] == NONE || twin[h] == NONE {

@@ -2,6 +2,7 @@
 
 mod bvh;
 mod curvature;
+mod disk_mesh;
 pub mod half_edge;
 mod hole_fill;
 pub mod intrinsic;
@@ -17,6 +18,7 @@ mod vertex_area;
 
 pub use bvh::{Bvh, Nearest, RayHit};
 pub use curvature::{angle_defects, gaussian_curvature, mean_curvature};
+pub use disk_mesh::DiskMesh;
 pub use half_edge::HalfEdges;
 pub(crate) use laplacian::cotangents;
 pub use laplacian::{cotangent_laplacian, intrinsic_laplacian};

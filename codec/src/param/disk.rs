@@ -10,7 +10,7 @@ use super::mobius::Mobius;
 use crate::linalg::SparseLlt;
 use crate::mesh::half_edge::{NONE, next};
 use crate::mesh::intrinsic::IntrinsicMesh;
-use crate::mesh::{HalfEdges, TriMesh};
+use crate::mesh::{DiskMesh, HalfEdges, TriMesh};
 use crate::{CodecError, Result};
 use glam::DVec2;
 use std::f64::consts::TAU;
@@ -50,7 +50,7 @@ pub struct DiskOptions {
 /// # Errors
 /// [`CodecError::Mesh`] when `mesh` is not a disk, lies in one point, or is too degenerate for its Laplacian to factorize.
 pub fn disk_map(mesh: &TriMesh) -> Result<DiskMap> {
-    DiskMapper::default().map(mesh, &mut |_| ())
+    DiskMapper::default().map(&DiskMesh::new(mesh.clone())?, &mut |_| ())
 }
 
 /// Maps disks one after another; elimination order and symbolic factor are kept while the Laplacian has the same
@@ -72,11 +72,11 @@ impl DiskMapper {
     ///
     /// # Errors
     /// As [`disk_map`], and when the wanted centre is no inner vertex.
-    pub fn map(&mut self, mesh: &TriMesh, on_stage: &mut dyn FnMut(&'static str)) -> Result<DiskMap> {
-        let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
-        let border = single_border(mesh, &half_edges)?;
+    pub fn map(&mut self, mesh: &DiskMesh, on_stage: &mut dyn FnMut(&'static str)) -> Result<DiskMap> {
+        let half_edges = mesh.half_edges();
+        let border = border_of(mesh)?;
         let centre = match self.options.centre {
-            None => deepest_vertex(&half_edges, &border),
+            None => deepest_vertex(half_edges, &border),
             Some(v) if (v as usize) < mesh.vertex_count() && !half_edges.is_boundary_vertex(v) => v,
             Some(v) => {
                 let v = u64::from(v) + 1;
@@ -85,7 +85,7 @@ impl DiskMapper {
         };
         on_stage("topology");
         let locked = vec![false; mesh.triangles.len()];
-        let intrinsic = intrinsic_disk(mesh, &half_edges, &border, &locked)?;
+        let intrinsic = intrinsic_disk(mesh, half_edges, &border, &locked)?;
         on_stage("intrinsic");
         let system = HarmonicSystem::assemble(&intrinsic, &border);
         on_stage("assemble");
@@ -102,7 +102,7 @@ impl DiskMapper {
             return Err(CodecError::Mesh("too degenerate to be laid on a disk".into()));
         }
         if self.options.unflip {
-            unflip(mesh, &half_edges, &border, locked, &mut points)?;
+            unflip(mesh, half_edges, &border, locked, &mut points)?;
             on_stage("unflip");
         }
         let flips = mesh.triangles.iter().filter(|t| signed_area(&points, **t) <= 0.0).count();
@@ -150,9 +150,9 @@ fn on_circle(theta: &[f64]) -> Vec<DVec2> {
 /// Harmonic map to the unit disk whose border keeps its proportions, where the flow of a double cover starts; and the
 /// border.
 pub(super) fn border_on_circle(mesh: &TriMesh) -> Result<(Vec<DVec2>, Vec<u32>)> {
-    let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
-    let border = single_border(mesh, &half_edges)?;
-    let intrinsic = intrinsic_disk(mesh, &half_edges, &border, &vec![false; mesh.triangles.len()])?;
+    let mesh = &DiskMesh::new(mesh.clone())?;
+    let border = border_of(mesh)?;
+    let intrinsic = intrinsic_disk(mesh, mesh.half_edges(), &border, &vec![false; mesh.triangles.len()])?;
     let system = HarmonicSystem::assemble(&intrinsic, &border);
     let circle = on_circle(&angles_of(&border_lengths(&intrinsic, &border)));
     let mut factor = None;
@@ -186,19 +186,8 @@ pub fn signed_area(points: &[DVec2], t: [u32; 3]) -> f64 {
     (b - a).perp_dot(c - a)
 }
 
-fn single_border(mesh: &TriMesh, half_edges: &HalfEdges) -> Result<Vec<u32>> {
-    let mut loops = half_edges.boundary_loops();
-    if !half_edges.is_disk() {
-        let at: Vec<String> = loops.iter().take(4).map(|ring| (ring[0] + 1).to_string()).collect();
-        let at = if at.is_empty() { "no edge on a border".into() } else { format!("at vertices {}", at.join(", ")) };
-        return Err(CodecError::Mesh(format!(
-            "not a disk: {} boundary loops ({at}), Euler characteristic {}, {} pieces (1 of each wanted)",
-            loops.len(),
-            half_edges.euler_characteristic(),
-            half_edges.triangle_components().1
-        )));
-    }
-    let border = loops.swap_remove(0);
+fn border_of(mesh: &DiskMesh) -> Result<Vec<u32>> {
+    let border = mesh.half_edges().boundary_loops().swap_remove(0);
     if border.len() == mesh.vertex_count() {
         return Err(CodecError::Mesh("every vertex lies on the border; nothing to map".into()));
     }
@@ -402,7 +391,7 @@ mod tests {
         let plain = disk_map(&mesh).unwrap();
         assert!(plain.flips > 0, "the surface is rough enough to flip");
         let options = DiskOptions { unflip: true, ..Default::default() };
-        let map = DiskMapper::new(options).map(&mesh, &mut |_| ()).unwrap();
+        let map = DiskMapper::new(options).map(&DiskMesh::new(mesh.clone()).unwrap(), &mut |_| ()).unwrap();
         assert_eq!(map.flips, 0);
         assert!(map.border.iter().all(|&b| map.points[b as usize].distance(plain.points[b as usize]) < 1e-12));
         let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
@@ -416,6 +405,7 @@ mod tests {
         let (z, triangles) = polar_disk(12);
         let place = |z: &DVec2| Vec3::new(z.x as f32, z.y as f32, 0.4 * z.length_squared() as f32) * 90.0;
         let mesh = TriMesh { positions_mm: z.iter().map(place).collect(), triangles, uv: None };
+        let mesh = DiskMesh::new(mesh).unwrap();
         let centred = |centre| DiskMapper::new(DiskOptions { centre, unflip: false }).map(&mesh, &mut |_| ());
         let (middle, aside) = (centred(None).unwrap(), centred(Some(60)).unwrap());
         assert_eq!((middle.centre, aside.centre), (0, 60));
@@ -435,7 +425,7 @@ mod tests {
             let place =
                 |z: &DVec2| Vec3::new(80.0 * z.x as f32, (80 + 20 * k) as f32 * z.y as f32, 30.0 * (z.x * z.y) as f32);
             let mesh = TriMesh { positions_mm: z.iter().map(place).collect(), triangles: triangles.clone(), uv: None };
-            let (again, single) = (mapper.map(&mesh, &mut |_| ()).unwrap(), disk_map(&mesh).unwrap());
+            let (again, single) = (mapper.map(&DiskMesh::new(mesh.clone()).unwrap(), &mut |_| ()).unwrap(), disk_map(&mesh).unwrap());
             assert!(again.points.iter().zip(&single.points).all(|(a, b)| a.distance(*b) < 1e-12));
         }
     }
@@ -495,13 +485,13 @@ mod tests {
             for p in &mut mesh.positions_mm {
                 p.z = 20.0 * (p.x * 0.03).sin() + 0.002 * p.x * p.y;
             }
-            let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
-            let border = single_border(&mesh, &half_edges).unwrap();
-            let intrinsic = intrinsic_disk(&mesh, &half_edges, &border, &vec![false; mesh.triangles.len()]).unwrap();
+            let mesh = DiskMesh::new(mesh).unwrap();
+            let (half_edges, border) = (mesh.half_edges(), border_of(&mesh).unwrap());
+            let intrinsic = intrinsic_disk(&mesh, half_edges, &border, &vec![false; mesh.triangles.len()]).unwrap();
             let system = HarmonicSystem::assemble(&intrinsic, &border);
             let mut slot = None;
             let factor = system.factorize(&mut slot, &mesh.positions_mm).unwrap();
-            let centre = deepest_vertex(&half_edges, &border);
+            let centre = deepest_vertex(half_edges, &border);
             let theta = border_angles(&intrinsic, &system.harmonic_measure(factor, centre), &border);
             let points = system.extend(factor, &border, &on_circle(&theta));
             for t in intrinsic.origin.chunks_exact(3) {

@@ -11,7 +11,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, ValueEnum};
 use glam::{DVec2, DVec3};
 use gv3_codec::mesh::repair::{RepairOptions, to_disk};
-use gv3_codec::mesh::{HalfEdges, TriMesh};
+use gv3_codec::mesh::{DiskMesh, TriMesh};
 use gv3_codec::param::disk::{DiskMap, DiskMapper, DiskOptions};
 use gv3_codec::param::sphere::{FlowOptions, FlowReport, double_cover_disk_map, sphere_map};
 use gv3_codec::param::{AngleErrors, HISTOGRAM_BOUNDS_DEG};
@@ -80,6 +80,21 @@ impl Method {
             Self::Green => "green",
             Self::Qiem => "qiem",
             Self::Sphere => "sphere",
+        }
+    }
+}
+
+/// What is mapped.
+enum Surface {
+    Disk(DiskMesh),
+    Closed(TriMesh),
+}
+
+impl Surface {
+    fn mesh(&self) -> &TriMesh {
+        match self {
+            Self::Disk(disk) => disk,
+            Self::Closed(mesh) => mesh,
         }
     }
 }
@@ -155,22 +170,23 @@ impl Flatten {
         let read = read_mesh(&self.mesh)?;
         let mut notes = Vec::new();
         let started = Instant::now();
-        let disk = self.disk(read, &mut notes)?;
+        let surface = self.surface(read, &mut notes)?;
         let repair_ms = started.elapsed().as_secs_f64() * 1e3;
         let mut clock = StageClock::start();
         let map = self
-            .map(&disk, &mut clock, &mut notes)
+            .map(&surface, &mut clock, &mut notes)
             .with_context(|| format!("{}: cannot be mapped", self.mesh.display()))?;
         let total_ms = clock.ms.values().sum();
         clock.ms.insert("total", total_ms);
         if !self.no_repair {
             clock.ms.insert("repair", repair_ms);
         }
-        let at = |v: u32| disk.positions_mm[v as usize].as_dvec3();
-        let errors = AngleErrors::between(&disk.triangles, at, |v| map.points[v as usize]);
+        let mesh = surface.mesh();
+        let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
+        let errors = AngleErrors::between(&mesh.triangles, at, |v| map.points[v as usize]);
         let deviation = |&v: &u32| (map.points[v as usize].length() - 1.0).abs();
         let report = FlattenReport {
-            vertices: disk.vertex_count(),
+            vertices: mesh.vertex_count(),
             method: self.method.name(),
             ms: clock.ms,
             angle_error_deg: AngleFigures {
@@ -185,48 +201,41 @@ impl Flatten {
             histogram: errors.histogram,
             notes,
         };
-        self.write(&disk, &map.points)?;
+        self.write(mesh, &map.points)?;
         Outcome::of(self.json, &report, || describe(&report))
     }
 
     /// The mesh as a topological disk; as it is for the sphere, whose map checks it.
-    fn disk(&self, mesh: TriMesh, notes: &mut Vec<String>) -> Result<TriMesh> {
+    fn surface(&self, mesh: TriMesh, notes: &mut Vec<String>) -> Result<Surface> {
         let name = self.mesh.display();
         if self.method == Method::Sphere {
-            return Ok(mesh);
+            return Ok(Surface::Closed(mesh));
         }
         if self.no_repair {
-            let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)
-                .with_context(|| format!("{name}: not without repair"))?;
-            if !half_edges.is_disk() {
-                let loops = half_edges.boundary_loops().len();
-                let pieces = half_edges.triangle_components().1;
-                bail!(
-                    "{name}: {pieces} pieces with {loops} borders are no disk; leave out --no-repair to have it made one"
-                );
-            }
-            return Ok(mesh);
+            let disk = DiskMesh::new(mesh)
+                .with_context(|| format!("{name}: leave out --no-repair to have it made a disk"))?;
+            return Ok(Surface::Disk(disk));
         }
         let options =
             RepairOptions { open_closed: self.open_closed, clip_border: !self.keep_border, ..Default::default() };
         let (disk, report) = to_disk(&mesh, &options).with_context(|| format!("{name}: cannot be repaired"))?;
         notes.push(format!("repair: {report}"));
-        Ok(disk)
+        Ok(Surface::Disk(disk))
     }
 
-    fn map(&self, mesh: &TriMesh, clock: &mut StageClock, notes: &mut Vec<String>) -> Result<Flattened> {
-        match self.method {
-            Method::Green => {
+    fn map(&self, surface: &Surface, clock: &mut StageClock, notes: &mut Vec<String>) -> Result<Flattened> {
+        match surface {
+            Surface::Disk(disk) if self.method == Method::Green => {
                 let options = DiskOptions { centre: self.centre.map(|v| v - 1), unflip: self.unflip };
-                Ok(DiskMapper::new(options).map(mesh, &mut |stage| clock.end(stage))?.into())
+                Ok(DiskMapper::new(options).map(disk, &mut |stage| clock.end(stage))?.into())
             }
-            Method::Qiem => {
-                let (map, flow) = double_cover_disk_map(mesh, &FlowOptions::default())?;
+            Surface::Disk(disk) => {
+                let (map, flow) = double_cover_disk_map(disk, &FlowOptions::default())?;
                 clock.end("flow");
                 notes.push(describe_flow(&flow));
                 Ok(map.into())
             }
-            Method::Sphere => {
+            Surface::Closed(mesh) => {
                 let map = sphere_map(mesh, &FlowOptions::default())?;
                 clock.end("flow");
                 notes.push(describe_flow(&map.flow));
@@ -381,7 +390,7 @@ mod tests {
         let mut holed = dome();
         holed.triangles.retain(|t| !t.contains(&300));
         let holed = file("holed.obj", &holed);
-        assert!(error(&[&holed, "--no-repair"]).contains("1 pieces with 2 borders are no disk"));
+        assert!(error(&[&holed, "--no-repair"]).contains("made a disk: not a disk: 2 boundary loops"));
         assert!(run(&[&holed, "--keep-border"]).unwrap().report.contains("1 holes filled"));
         assert!(run(&[&holed]).unwrap().report.contains("clipped off a ragged border"));
         assert!(error(&[&holed, "--method", "sphere"]).contains("not closed: edge"));

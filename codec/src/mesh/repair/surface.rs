@@ -3,7 +3,7 @@
 //! Taking a triangle away unlinks its neighbours; nothing is paired twice.
 
 use super::{RepairOptions, RepairReport};
-use crate::mesh::half_edge::{NONE, components, next, pair_edges, prev};
+use crate::mesh::half_edge::{HalfEdges, NONE, components, next, outgoing_half_edges, pair_edges, prev};
 use crate::mesh::{TriMesh, quality};
 use crate::{CodecError, Result};
 use glam::Vec3;
@@ -237,6 +237,11 @@ impl<'a> Surface<'a> {
 
     /// Where several fans meet in a vertex keeps the largest, the first of equals.
     fn cut_bow_ties(&mut self) -> usize {
+        let mut suspects = self.bow_ties();
+        if suspects.is_empty() {
+            return 0;
+        }
+        suspects.reverse();
         let mut start = vec![0u32; self.mesh.vertex_count() + 1];
         let alive_corners = || (0..self.origin.len()).filter(|&h| self.alive[h / 3]);
         alive_corners().for_each(|h| start[self.origin[h] as usize + 1] += 1);
@@ -250,7 +255,6 @@ impl<'a> Surface<'a> {
             *slot += 1;
         }
         let mut removed = 0;
-        let mut suspects: Vec<u32> = (0..self.mesh.vertex_count() as u32).rev().collect();
         while let Some(v) = suspects.pop() {
             let around = &corners[start[v as usize] as usize..start[v as usize + 1] as usize];
             let Some(keep) = self.largest_fan(around) else { continue };
@@ -263,6 +267,28 @@ impl<'a> Surface<'a> {
             }
         }
         removed
+    }
+
+    /// Vertices with more triangles than one walk round them meets, ascending.
+    fn bow_ties(&self) -> Vec<u32> {
+        let mut corners = vec![0u32; self.mesh.vertex_count()];
+        let mut outgoing = vec![NONE; self.mesh.vertex_count()];
+        for h in (0..self.origin.len()).filter(|&h| self.alive[h / 3]) {
+            let v = self.origin[h] as usize;
+            corners[v] += 1;
+            if outgoing[v] == NONE || self.twin[h] == NONE {
+                outgoing[v] = h as u32;
+            }
+        }
+        let walk = |first: u32| {
+            let onward = move |&h: &u32| Some(self.twin[prev(h) as usize]).filter(|&h| h != NONE && h != first);
+            std::iter::successors(Some(first), onward).count()
+        };
+        let tied = |&v: &u32| {
+            let (count, first) = (corners[v as usize], outgoing[v as usize]);
+            count > 0 && walk(first) != count as usize
+        };
+        (0..self.mesh.vertex_count() as u32).filter(tied).collect()
     }
 
     /// Half-edges of the largest fan among those that leave one vertex; `None` when there is but one fan.
@@ -297,14 +323,33 @@ impl<'a> Surface<'a> {
         })
     }
 
-    pub(super) fn into_mesh(self) -> (TriMesh, Vec<u32>) {
-        let triangles = self.origin.chunks_exact(3).zip(&self.alive).filter(|(_, alive)| **alive);
-        let kept = TriMesh {
-            positions_mm: self.mesh.positions_mm.clone(),
-            triangles: triangles.map(|(t, _)| [t[0], t[1], t[2]]).collect(),
-            uv: self.mesh.uv.clone(),
+    /// What is left, without unused vertices, its connectivity, and for each vertex its index in the input.
+    pub(super) fn into_mesh(self) -> (TriMesh, HalfEdges, Vec<u32>) {
+        let mut new_vertex = vec![NONE; self.mesh.vertex_count()];
+        let mut new_triangle = Vec::with_capacity(self.alive.len());
+        let mut count = 0;
+        for (t, &alive) in self.alive.iter().enumerate() {
+            new_triangle.push(count);
+            count += u32::from(alive);
+            if alive {
+                self.origin[3 * t..3 * t + 3].iter().for_each(|&v| new_vertex[v as usize] = 0);
+            }
+        }
+        let source: Vec<u32> = (0..).zip(&new_vertex).filter(|(_, new)| **new == 0).map(|(v, _)| v).collect();
+        source.iter().zip(0..).for_each(|(&v, new)| new_vertex[v as usize] = new);
+        let kept = || (0..self.origin.len()).filter(|&h| self.alive[h / 3]);
+        let moved = |g: u32| if g == NONE { NONE } else { 3 * new_triangle[g as usize / 3] + g % 3 };
+        let mut origin = Vec::with_capacity(3 * count as usize);
+        origin.extend(kept().map(|h| new_vertex[self.origin[h] as usize]));
+        let mut twin = Vec::with_capacity(origin.len());
+        twin.extend(kept().map(|h| moved(self.twin[h])));
+        let mesh = TriMesh {
+            positions_mm: source.iter().map(|&v| self.mesh.positions_mm[v as usize]).collect(),
+            triangles: origin.as_chunks::<3>().0.to_vec(),
+            uv: self.mesh.uv.as_ref().map(|uv| source.iter().map(|&v| uv[v as usize]).collect()),
         };
-        kept.submesh(|_| true)
+        let outgoing = outgoing_half_edges(source.len(), &origin, &twin);
+        (mesh, HalfEdges { origin, twin, outgoing }, source)
     }
 }
 
@@ -320,6 +365,10 @@ fn check_indices(mesh: &TriMesh) -> Result<()> {
         Some(uv) if uv.len() != n => {
             Err(CodecError::Mesh(format!("{} texture coordinates for {n} vertices", uv.len())))
         }
-        _ => Ok(()),
+        Some(uv) => match uv.iter().position(|uv| !(uv[0].is_finite() && uv[1].is_finite())) {
+            Some(i) => Err(CodecError::Mesh(format!("texture coordinate {} is not finite", i + 1))),
+            None => Ok(()),
+        },
+        None => Ok(()),
     }
 }
