@@ -7,7 +7,7 @@
 //! vertex that was merged wait for the next sweep.
 
 use super::bvh::Triangle;
-use super::half_edge::{HalfEdges, NONE, next, outgoing_half_edges, prev};
+use super::half_edge::{HalfEdges, NONE, next, prev};
 use super::{DiskMesh, TriMesh};
 use glam::{DVec3, Vec3};
 
@@ -449,7 +449,8 @@ impl<'a> Collapser<'a> {
                 at = std::mem::replace(&mut self.merged_into[at], root as u32) as usize;
             }
         }
-        let connectivity = self.connectivity(&new_of, kept.len());
+        let half_edge = |h: usize| (self.half_edges[h].origin, self.half_edges[h].twin);
+        let connectivity = HalfEdges::of_kept(&self.alive, half_edge, &new_of, kept.len());
         let small = TriMesh {
             positions_mm: kept.iter().map(|&v| self.vertices[v].position_mm).collect(),
             triangles: connectivity.origin.as_chunks::<3>().0.to_vec(),
@@ -463,21 +464,6 @@ impl<'a> Collapser<'a> {
             rms_error_mm: (sum / area_mm2.max(f64::MIN_POSITIVE)).sqrt() as f32,
         };
         (DiskMesh::known(small, connectivity), report)
-    }
-
-    /// What is left, its vertices numbered by `new_of`.
-    fn connectivity(&self, new_of: &[u32], vertex_count: usize) -> HalfEdges {
-        let mut count = 0;
-        let number = |&alive: &bool| {
-            count += u32::from(alive);
-            count - u32::from(alive)
-        };
-        let new_triangle: Vec<u32> = self.alive.iter().map(number).collect();
-        let kept = || (0..self.half_edges.len()).filter(|&h| self.alive[h / 3]).map(|h| self.half_edges[h]);
-        let moved = |g: u32| if g == NONE { NONE } else { 3 * new_triangle[g as usize / 3] + g % 3 };
-        let origin: Vec<u32> = kept().map(|h| new_of[h.origin as usize]).collect();
-        let twin: Vec<u32> = kept().map(|h| moved(h.twin)).collect();
-        HalfEdges { outgoing: outgoing_half_edges(vertex_count, &origin, &twin), origin, twin }
     }
 }
 

@@ -13,6 +13,8 @@ use glam::DVec3;
 const MAX_FAIRED_VERTICES: usize = 20_000;
 /// Times that the plate is bent, each with the metric of the surface before: the first knows only the flat membrane.
 const BEND_ROUNDS: usize = 3;
+/// A bend that changes the area by less than this share is the last.
+const SETTLED: f64 = 1e-3;
 /// A plate of more than this many times the membrane's area overshoots: the slopes around the hole are noise.
 const MAX_AREA_GROWTH: f64 = 2.0;
 /// Cotangents are held within this: 1.1 degrees.
@@ -40,6 +42,7 @@ impl Patch<'_> {
         let all = self.origin.as_chunks::<3>().0.iter().copied().chain(triangles).collect();
         let mut rows = Rows::new(self.values.len(), all);
         let mut factor = None;
+        let mut last = area;
         for _ in 0..BEND_ROUNDS {
             let bent = self.bend(&around, &mut rows, &mut factor);
             let grown = self.area_mm2();
@@ -47,6 +50,10 @@ impl Patch<'_> {
                 self.values = membrane;
                 return;
             }
+            if (grown - last).abs() < SETTLED * last {
+                return;
+            }
+            last = grown;
         }
     }
 

@@ -3,10 +3,10 @@
 //! Taking a triangle away unlinks its neighbours; nothing is paired twice.
 
 use super::{RepairOptions, RepairReport};
-use crate::mesh::half_edge::{HalfEdges, NONE, components, next, outgoing_half_edges, pair_edges, prev};
+use crate::mesh::half_edge::{HalfEdges, NONE, components, next, pair_edges, prev};
 use crate::mesh::{TriMesh, quality};
 use crate::{CodecError, Result};
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 
 /// The input with triangles taken away.
 pub(super) struct Surface<'a> {
@@ -16,28 +16,21 @@ pub(super) struct Surface<'a> {
     alive: Vec<bool>,
 }
 
-/// What surrounds a vertex: the other corners of its triangles, and twice the length of the edges across from it.
-#[derive(Debug, Clone, Copy, Default)]
-struct Ring {
-    corners: u32,
-    sum: Vec3,
-    doubled_length: f32,
-}
-
 impl<'a> Surface<'a> {
     /// Usable triangles, paired and oriented; edges with more than two triangles are cut out.
     pub(super) fn new(mesh: &'a TriMesh, report: &mut RepairReport) -> Result<Self> {
         check_indices(mesh)?;
-        let usable = |t: &&[u32; 3]| {
-            let finite = t.iter().all(|&v| mesh.positions_mm[v as usize].is_finite());
-            finite && t[0] != t[1] && t[1] != t[2] && t[2] != t[0]
-        };
-        let triangles: Vec<[u32; 3]> = mesh.triangles.iter().filter(usable).copied().collect();
-        report.unusable_triangles = mesh.triangles.len() - triangles.len();
-        let origin = triangles.as_flattened().to_vec();
+        let all_finite = mesh.positions_mm.iter().all(|p| p.is_finite());
+        let finite = |t: &[u32; 3]| all_finite || t.iter().all(|&v| mesh.positions_mm[v as usize].is_finite());
+        let mut origin = Vec::with_capacity(3 * mesh.triangles.len());
+        for t in mesh.triangles.iter().filter(|t| t[0] != t[1] && t[1] != t[2] && t[2] != t[0] && finite(t)) {
+            origin.extend(t);
+        }
+        let triangles = origin.len() / 3;
+        report.unusable_triangles = mesh.triangles.len() - triangles;
         let mut crowded = Vec::new();
         let twin = pair_edges(mesh.vertex_count(), &origin, |group| crowded.extend(group.iter().map(|h| h / 3)));
-        let mut surface = Self { mesh, origin, twin, alive: vec![true; triangles.len()] };
+        let mut surface = Self { mesh, origin, twin, alive: vec![true; triangles] };
         report.crowded_edge_triangles = crowded.into_iter().filter(|&t| surface.remove(t as usize)).count();
         report.flipped_triangles = surface.orient()?;
         Ok(surface)
@@ -155,9 +148,8 @@ impl<'a> Surface<'a> {
     pub(super) fn cut_spikes_and_slivers(&mut self, options: &RepairOptions, report: &mut RepairReport) {
         let (rings, slivers) = self.rings_and_slivers(options.min_inner_quality);
         let spike = |v: u32| {
-            let Ring { corners, sum, doubled_length } = rings[v as usize];
-            let away = self.mesh.positions_mm[v as usize] * corners as f32 - sum;
-            corners > 0 && away.length_squared() > (options.max_spike_ratio * doubled_length).powi(2)
+            let (away, length) = (rings[v as usize].truncate(), rings[v as usize].w);
+            away.length_squared() > (options.max_spike_ratio * 2.0 * length).powi(2)
         };
         let mut cut: Vec<bool> = (0..self.mesh.vertex_count() as u32).map(spike).collect();
         report.spike_triangles += self.remove_around(&cut);
@@ -171,20 +163,21 @@ impl<'a> Surface<'a> {
         report.sliver_triangles += self.remove_around(&cut);
     }
 
-    /// What surrounds each vertex, and the triangles of a shape quality below `min_quality`.
-    fn rings_and_slivers(&self, min_quality: f32) -> (Vec<Ring>, Vec<usize>) {
-        let mut rings = vec![Ring::default(); self.mesh.vertex_count()];
+    /// For each vertex the sum of the edges that leave it, each as often as a triangle has it, and the length of the edges
+    /// across from it; and the triangles of a shape quality below `min_quality`.
+    fn rings_and_slivers(&self, min_quality: f32) -> (Vec<Vec4>, Vec<usize>) {
+        let mut rings = vec![Vec4::ZERO; self.mesh.vertex_count()];
         let mut slivers = Vec::new();
         for t in (0..self.alive.len()).filter(|&t| self.alive[t]) {
-            let corners = self.corners(t);
-            for k in 0..3 {
-                let (b, c) = (corners[(k + 1) % 3], corners[(k + 2) % 3]);
-                let ring = &mut rings[self.origin[3 * t + k] as usize];
-                ring.corners += 2;
-                ring.sum += b + c;
-                ring.doubled_length += 2.0 * b.distance(c);
+            let [a, b, c] = self.corners(t);
+            let [ab, bc, ca] = [b - a, c - b, a - c];
+            let squares = [bc, ca, ab].map(Vec3::length_squared);
+            for (k, away) in [ab - ca, bc - ab, ca - bc].into_iter().enumerate() {
+                rings[self.origin[3 * t + k] as usize] += away.extend(squares[k].sqrt());
             }
-            if quality(corners) < min_quality {
+            // Quality below the least, without a root.
+            let least = min_quality * (squares[0] + squares[1] + squares[2]);
+            if 12.0 * ab.cross(bc).length_squared() < least * least {
                 slivers.push(t);
             }
         }
@@ -326,30 +319,22 @@ impl<'a> Surface<'a> {
     /// What is left, without unused vertices, its connectivity, and for each vertex its index in the input.
     pub(super) fn into_mesh(self) -> (TriMesh, HalfEdges, Vec<u32>) {
         let mut new_vertex = vec![NONE; self.mesh.vertex_count()];
-        let mut new_triangle = Vec::with_capacity(self.alive.len());
-        let mut count = 0;
-        for (t, &alive) in self.alive.iter().enumerate() {
-            new_triangle.push(count);
-            count += u32::from(alive);
-            if alive {
-                self.origin[3 * t..3 * t + 3].iter().for_each(|&v| new_vertex[v as usize] = 0);
-            }
+        for (corners, _) in self.origin.chunks_exact(3).zip(&self.alive).filter(|(_, alive)| **alive) {
+            corners.iter().for_each(|&v| new_vertex[v as usize] = 0);
         }
-        let source: Vec<u32> = (0..).zip(&new_vertex).filter(|(_, new)| **new == 0).map(|(v, _)| v).collect();
-        source.iter().zip(0..).for_each(|(&v, new)| new_vertex[v as usize] = new);
-        let kept = || (0..self.origin.len()).filter(|&h| self.alive[h / 3]);
-        let moved = |g: u32| if g == NONE { NONE } else { 3 * new_triangle[g as usize / 3] + g % 3 };
-        let mut origin = Vec::with_capacity(3 * count as usize);
-        origin.extend(kept().map(|h| new_vertex[self.origin[h] as usize]));
-        let mut twin = Vec::with_capacity(origin.len());
-        twin.extend(kept().map(|h| moved(self.twin[h])));
+        let mut source = Vec::with_capacity(new_vertex.len());
+        for (v, new) in (0..).zip(&mut new_vertex).filter(|(_, new)| **new == 0) {
+            *new = source.len() as u32;
+            source.push(v);
+        }
+        let half_edge = |h: usize| (self.origin[h], self.twin[h]);
+        let half_edges = HalfEdges::of_kept(&self.alive, half_edge, &new_vertex, source.len());
         let mesh = TriMesh {
             positions_mm: source.iter().map(|&v| self.mesh.positions_mm[v as usize]).collect(),
-            triangles: origin.as_chunks::<3>().0.to_vec(),
+            triangles: half_edges.origin.as_chunks::<3>().0.to_vec(),
             uv: self.mesh.uv.as_ref().map(|uv| source.iter().map(|&v| uv[v as usize]).collect()),
         };
-        let outgoing = outgoing_half_edges(source.len(), &origin, &twin);
-        (mesh, HalfEdges { origin, twin, outgoing }, source)
+        (mesh, half_edges, source)
     }
 }
 
