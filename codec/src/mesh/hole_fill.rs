@@ -223,7 +223,6 @@ impl<'a> Patch<'a> {
         let laplacian = Laplacian { start, neighbours, rim: rim as u32 };
         laplacian.solve(&mut self.values);
     }
-
 }
 
 /// Sews a patch, given by its rim and its local half-edges' origins and twins, into the mesh and its connectivity.

@@ -7,6 +7,7 @@
 
 use super::harmonic::HarmonicSystem;
 use super::mobius::Mobius;
+use super::untangle::untangle;
 use crate::linalg::SparseLlt;
 use crate::mesh::half_edge::{NONE, next};
 use crate::mesh::intrinsic::IntrinsicMesh;
@@ -18,9 +19,6 @@ use std::f64::consts::TAU;
 /// Border flux is floored at this share of its mean: staircase corners may have none.
 const FLUX_FLOOR: f64 = 1e-3;
 
-/// Times that a map with flipped triangles is solved again with them locked.
-const MAX_UNFLIP_PASSES: usize = 5;
-
 /// A surface laid on the unit disk.
 #[derive(Debug, Clone)]
 pub struct DiskMap {
@@ -30,7 +28,7 @@ pub struct DiskMap {
     pub centre: u32,
     /// Border vertices, counter-clockwise.
     pub border: Vec<u32>,
-    /// Triangles of the embedded mesh that the map turns over.
+    /// Triangles of the embedded mesh that the map turns over; none on the scans tried.
     pub flips: usize,
 }
 
@@ -39,10 +37,6 @@ pub struct DiskMap {
 pub struct DiskOptions {
     /// Vertex that goes to the centre; the one farthest from the border in edge steps by default.
     pub centre: Option<u32>,
-    /// Whether triangles of the embedded mesh that are turned over are turned back, at a cost in angles. The intrinsic
-    /// triangulation has none anyway; here flipped triangles and a growing ring around them are kept as they are in it,
-    /// their weights held positive. [`DiskMap::flips`] tells what is left, none on the scans tried.
-    pub unflip: bool,
 }
 
 /// Maps a disk to the unit disk; rotated so that +y of the scan frame points up.
@@ -68,11 +62,19 @@ impl DiskMapper {
     }
 
     /// As [`disk_map`]; `on_stage` is called with the name of each stage when it ends: topology, intrinsic, assemble,
-    /// factorize, solve, and unflip where wanted.
+    /// factorize, solve, untangle.
     ///
     /// # Errors
     /// As [`disk_map`], and when the wanted centre is no inner vertex.
     pub fn map(&mut self, mesh: &DiskMesh, on_stage: &mut dyn FnMut(&'static str)) -> Result<DiskMap> {
+        let mut map = self.harmonic_map(mesh, on_stage)?;
+        map.flips = untangle(mesh, &mut map.points, &map.border)?;
+        on_stage("untangle");
+        Ok(map)
+    }
+
+    /// The map that is conformal on the intrinsic triangulation; its flips are not counted.
+    fn harmonic_map(&mut self, mesh: &DiskMesh, on_stage: &mut dyn FnMut(&'static str)) -> Result<DiskMap> {
         let half_edges = mesh.half_edges();
         let border = border_of(mesh)?;
         let centre = match self.options.centre {
@@ -84,8 +86,7 @@ impl DiskMapper {
             }
         };
         on_stage("topology");
-        let locked = vec![false; mesh.triangles.len()];
-        let intrinsic = intrinsic_disk(mesh, half_edges, &border, &locked)?;
+        let intrinsic = intrinsic_disk(mesh, &border)?;
         on_stage("intrinsic");
         let system = HarmonicSystem::assemble(&intrinsic, &border);
         on_stage("assemble");
@@ -101,46 +102,17 @@ impl DiskMapper {
         if !points.iter().all(|z| z.is_finite()) {
             return Err(CodecError::Mesh("too degenerate to be laid on a disk".into()));
         }
-        if self.options.unflip {
-            unflip(mesh, half_edges, &border, locked, &mut points)?;
-            on_stage("unflip");
-        }
-        let flips = mesh.triangles.iter().filter(|t| signed_area(&points, **t) <= 0.0).count();
-        Ok(DiskMap { points, centre, border, flips })
+        Ok(DiskMap { points, centre, border, flips: 0 })
     }
 }
 
-/// Intrinsic Delaunay triangulation of a disk, the edges of `locked` triangles kept, no edge across from border to border.
-fn intrinsic_disk(mesh: &TriMesh, half_edges: &HalfEdges, border: &[u32], locked: &[bool]) -> Result<IntrinsicMesh> {
-    let mut intrinsic = IntrinsicMesh::new(mesh, &half_edges.twin);
+/// Intrinsic Delaunay triangulation of a disk, no edge across from border to border.
+fn intrinsic_disk(mesh: &DiskMesh, border: &[u32]) -> Result<IntrinsicMesh> {
+    let mut intrinsic = IntrinsicMesh::new(mesh, &mesh.half_edges().twin);
     intrinsic.mollify()?;
-    (0..locked.len()).filter(|&t| locked[t]).for_each(|t| intrinsic.lock(t as u32));
     intrinsic.make_delaunay();
     separate_border(&mut intrinsic, border, mesh.vertex_count());
     Ok(intrinsic)
-}
-
-/// Solves again with flipped triangles and a growing ring around them locked, the border where it is, until no triangle
-/// is flipped or passes run out.
-fn unflip(
-    mesh: &TriMesh,
-    half_edges: &HalfEdges,
-    border: &[u32],
-    mut locked: Vec<bool>,
-    points: &mut Vec<DVec2>,
-) -> Result<()> {
-    let circle: Vec<DVec2> = border.iter().map(|&b| points[b as usize]).collect();
-    for rings in 0..MAX_UNFLIP_PASSES {
-        if !mesh.triangles.iter().any(|t| signed_area(points, *t) <= 0.0) {
-            break;
-        }
-        lock_flips(mesh, points, rings, &mut locked);
-        let system = HarmonicSystem::assemble(&intrinsic_disk(mesh, half_edges, border, &locked)?, border);
-        let mut factor = None;
-        *points = system.extend(system.factorize(&mut factor, &mesh.positions_mm)?, border, &circle);
-        points.truncate(mesh.vertex_count());
-    }
-    Ok(())
 }
 
 fn on_circle(theta: &[f64]) -> Vec<DVec2> {
@@ -152,32 +124,13 @@ fn on_circle(theta: &[f64]) -> Vec<DVec2> {
 pub(super) fn border_on_circle(mesh: &TriMesh) -> Result<(Vec<DVec2>, Vec<u32>)> {
     let mesh = &DiskMesh::new(mesh.clone())?;
     let border = border_of(mesh)?;
-    let intrinsic = intrinsic_disk(mesh, mesh.half_edges(), &border, &vec![false; mesh.triangles.len()])?;
+    let intrinsic = intrinsic_disk(mesh, &border)?;
     let system = HarmonicSystem::assemble(&intrinsic, &border);
     let circle = on_circle(&angles_of(&border_lengths(&intrinsic, &border)));
     let mut factor = None;
     let mut points = system.extend(system.factorize(&mut factor, &mesh.positions_mm)?, &border, &circle);
     points.truncate(mesh.vertex_count());
     Ok((points, border))
-}
-
-/// Locks the triangles that `points` turns over and those up to `rings` rings around them.
-fn lock_flips(mesh: &TriMesh, points: &[DVec2], rings: usize, locked: &mut [bool]) {
-    let mut near = vec![false; points.len()];
-    let mark = |near: &mut [bool], t: &[u32; 3]| t.iter().for_each(|&v| near[v as usize] = true);
-    for (t, locked) in mesh.triangles.iter().zip(locked.iter_mut()).filter(|(t, _)| signed_area(points, **t) <= 0.0) {
-        *locked = true;
-        mark(&mut near, t);
-    }
-    for _ in 0..rings {
-        let inside = near.clone();
-        for (t, locked) in mesh.triangles.iter().zip(locked.iter_mut()) {
-            if t.iter().any(|&v| inside[v as usize]) {
-                *locked = true;
-                mark(&mut near, t);
-            }
-        }
-    }
 }
 
 /// Twice the signed area of a triangle on the disk.
@@ -202,7 +155,7 @@ fn separate_border(m: &mut IntrinsicMesh, border: &[u32], vertex_count: usize) {
     }
     let joins = |m: &IntrinsicMesh, on_border: &[bool], h: u32| {
         let is = |v: u32| on_border.get(v as usize).copied().unwrap_or(false);
-        m.twin[h as usize] != NONE && !m.locked[h as usize] && is(m.origin[h as usize]) && is(m.target(h))
+        m.twin[h as usize] != NONE && is(m.origin[h as usize]) && is(m.target(h))
     };
     // Flipping after a split may join border vertices again; a few rounds always sufficed, the bound is a guard.
     for _ in 0..16 {
@@ -386,12 +339,11 @@ mod tests {
     }
 
     #[test]
-    fn unflipping_leaves_no_flip_and_other_angles_alone() {
-        let mesh = spiky();
-        let plain = disk_map(&mesh).unwrap();
-        assert!(plain.flips > 0, "the surface is rough enough to flip");
-        let options = DiskOptions { unflip: true, ..Default::default() };
-        let map = DiskMapper::new(options).map(&DiskMesh::new(mesh.clone()).unwrap(), &mut |_| ()).unwrap();
+    fn a_rough_surface_is_untangled_and_other_angles_are_left_alone() {
+        let mesh = DiskMesh::new(spiky()).unwrap();
+        let plain = DiskMapper::default().harmonic_map(&mesh, &mut |_| ()).unwrap();
+        assert!(mesh.triangles.iter().any(|t| signed_area(&plain.points, *t) <= 0.0), "rough enough to flip");
+        let map = DiskMapper::default().map(&mesh, &mut |_| ()).unwrap();
         assert_eq!(map.flips, 0);
         assert!(map.border.iter().all(|&b| map.points[b as usize].distance(plain.points[b as usize]) < 1e-12));
         let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
@@ -406,7 +358,7 @@ mod tests {
         let place = |z: &DVec2| Vec3::new(z.x as f32, z.y as f32, 0.4 * z.length_squared() as f32) * 90.0;
         let mesh = TriMesh { positions_mm: z.iter().map(place).collect(), triangles, uv: None };
         let mesh = DiskMesh::new(mesh).unwrap();
-        let centred = |centre| DiskMapper::new(DiskOptions { centre, unflip: false }).map(&mesh, &mut |_| ());
+        let centred = |centre| DiskMapper::new(DiskOptions { centre }).map(&mesh, &mut |_| ());
         let (middle, aside) = (centred(None).unwrap(), centred(Some(60)).unwrap());
         assert_eq!((middle.centre, aside.centre), (0, 60));
         assert!(aside.points[60].length() < 1e-12);
@@ -425,7 +377,8 @@ mod tests {
             let place =
                 |z: &DVec2| Vec3::new(80.0 * z.x as f32, (80 + 20 * k) as f32 * z.y as f32, 30.0 * (z.x * z.y) as f32);
             let mesh = TriMesh { positions_mm: z.iter().map(place).collect(), triangles: triangles.clone(), uv: None };
-            let (again, single) = (mapper.map(&DiskMesh::new(mesh.clone()).unwrap(), &mut |_| ()).unwrap(), disk_map(&mesh).unwrap());
+            let (again, single) =
+                (mapper.map(&DiskMesh::new(mesh.clone()).unwrap(), &mut |_| ()).unwrap(), disk_map(&mesh).unwrap());
             assert!(again.points.iter().zip(&single.points).all(|(a, b)| a.distance(*b) < 1e-12));
         }
     }
@@ -487,7 +440,7 @@ mod tests {
             }
             let mesh = DiskMesh::new(mesh).unwrap();
             let (half_edges, border) = (mesh.half_edges(), border_of(&mesh).unwrap());
-            let intrinsic = intrinsic_disk(&mesh, half_edges, &border, &vec![false; mesh.triangles.len()]).unwrap();
+            let intrinsic = intrinsic_disk(&mesh, &border).unwrap();
             let system = HarmonicSystem::assemble(&intrinsic, &border);
             let mut slot = None;
             let factor = system.factorize(&mut slot, &mesh.positions_mm).unwrap();

@@ -33,10 +33,6 @@ pub struct Flatten {
     /// How to map.
     #[arg(long, value_enum, default_value_t = Method::Green)]
     method: Method,
-    /// Turn triangles back that the map turns over, at a cost in angles (method green); the report says how many are
-    /// left, usually none.
-    #[arg(long)]
-    unflip: bool,
     /// Vertex at the centre of the disk, counted from 1 (method green; the innermost by default).
     #[arg(long, value_name = "VERTEX", value_parser = clap::value_parser!(u32).range(1..))]
     centre: Option<u32>,
@@ -124,9 +120,6 @@ struct FlattenReport {
     flips: usize,
     /// Largest distance of a border vertex from the unit circle.
     boundary_deviation: f64,
-    /// Whether flips are left although none was wanted.
-    #[serde(skip)]
-    unflip_failed: bool,
     #[serde(skip)]
     histogram: [usize; HISTOGRAM_BOUNDS_DEG.len()],
     #[serde(skip)]
@@ -164,8 +157,8 @@ impl Flatten {
         if self.method == Method::Sphere && self.checkerboard.is_some() {
             bail!("the checkerboard is one of the disk; the sphere has none");
         }
-        if self.method != Method::Green && (self.unflip || self.centre.is_some()) {
-            bail!("--unflip and --centre belong to the method green");
+        if self.method != Method::Green && self.centre.is_some() {
+            bail!("--centre belongs to the method green");
         }
         let read = read_mesh(&self.mesh)?;
         let mut notes = Vec::new();
@@ -196,7 +189,6 @@ impl Flatten {
                 max: errors.max_deg,
             },
             flips: map.flips,
-            unflip_failed: self.unflip && map.flips > 0,
             boundary_deviation: map.border.iter().map(deviation).fold(0.0, f64::max),
             histogram: errors.histogram,
             notes,
@@ -212,8 +204,8 @@ impl Flatten {
             return Ok(Surface::Closed(mesh));
         }
         if self.no_repair {
-            let disk = DiskMesh::new(mesh)
-                .with_context(|| format!("{name}: leave out --no-repair to have it made a disk"))?;
+            let disk =
+                DiskMesh::new(mesh).with_context(|| format!("{name}: leave out --no-repair to have it made a disk"))?;
             return Ok(Surface::Disk(disk));
         }
         let options =
@@ -226,7 +218,7 @@ impl Flatten {
     fn map(&self, surface: &Surface, clock: &mut StageClock, notes: &mut Vec<String>) -> Result<Flattened> {
         match surface {
             Surface::Disk(disk) if self.method == Method::Green => {
-                let options = DiskOptions { centre: self.centre.map(|v| v - 1), unflip: self.unflip };
+                let options = DiskOptions { centre: self.centre.map(|v| v - 1) };
                 Ok(DiskMapper::new(options).map(disk, &mut |stage| clock.end(stage))?.into())
             }
             Surface::Disk(disk) => {
@@ -302,12 +294,7 @@ fn describe(r: &FlattenReport) -> String {
         let share = 100.0 * count as f64 / corners;
         let _ = writeln!(text, "    up to {bound:>5} {share:>7.3} % {}", "#".repeat((share * 0.4).round() as usize));
     }
-    let _ = writeln!(
-        text,
-        "  turned over  {} triangles{}",
-        r.flips,
-        if r.unflip_failed { " that --unflip leaves" } else { "" }
-    );
+    let _ = writeln!(text, "  turned over  {} triangles", r.flips);
     let _ = writeln!(text, "  border       {:.1e} off the unit circle at most", r.boundary_deviation);
     let stages = r.ms.iter().filter(|(stage, _)| !["total", "repair"].contains(*stage));
     let stages: Vec<String> = stages.map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();
@@ -395,7 +382,7 @@ mod tests {
         assert!(run(&[&holed]).unwrap().report.contains("clipped off a ragged border"));
         assert!(error(&[&holed, "--method", "sphere"]).contains("not closed: edge"));
         assert!(error(&[&holed, "--method", "sphere", "--checkerboard", "x.png"]).contains("checkerboard"));
-        assert!(error(&[&holed, "--method", "qiem", "--unflip"]).contains("belong to the method green"));
+        assert!(error(&[&holed, "--method", "qiem", "--centre", "300"]).contains("belongs to the method green"));
         assert!(error(&[&holed, "--centre", "1000000"]).contains("cannot be the centre"));
         assert!(error(&["scan.stl"]).contains("neither .obj nor .ply"));
     }

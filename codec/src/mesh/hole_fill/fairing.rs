@@ -46,7 +46,7 @@ impl Patch<'_> {
         for _ in 0..BEND_ROUNDS {
             let bent = self.bend(&around, &mut rows, &mut factor);
             let grown = self.area_mm2();
-            if bent.is_err() || grown.is_nan() || grown > MAX_AREA_GROWTH * area {
+            if bent.is_err() || overshoots(grown, area) {
                 self.values = membrane;
                 return;
             }
@@ -173,6 +173,11 @@ impl Rows {
     }
 }
 
+/// Whether a plate overshoots its membrane; one whose area is no number does.
+fn overshoots(plate_mm2: f64, membrane_mm2: f64) -> bool {
+    plate_mm2.is_nan() || plate_mm2 > MAX_AREA_GROWTH * membrane_mm2
+}
+
 fn point(value: &[f64; 5]) -> DVec3 {
     DVec3::new(value[0], value[1], value[2])
 }
@@ -181,8 +186,8 @@ fn point(value: &[f64; 5]) -> DVec3 {
 mod tests {
     use super::super::fill_hole_as;
     use super::*;
-    use crate::mesh::test_surfaces::plate;
-    use glam::Vec2;
+    use crate::mesh::test_surfaces::{plate, polar_disk};
+    use glam::{DVec2, Vec2};
 
     /// Rms distance in height of the new vertices from the surface that the hole was cut from, as membrane and faired.
     fn errors(height: impl Fn(Vec2) -> f32, radius_mm: f32) -> [f64; 2] {
@@ -197,6 +202,31 @@ mod tests {
             let square: f64 = new.iter().map(|p| f64::from(p.z - height(p.truncate())).powi(2)).sum();
             (square / new.len() as f64).sqrt()
         })
+    }
+
+    /// Area of the patch over that of the membrane, in the round mouth of a funnel that rises to it by `slope`.
+    fn growth(slope: f32) -> f64 {
+        let [membrane, fair] = [false, true].map(|fair| {
+            let (z, triangles) = polar_disk(20);
+            let place = |z: &DVec2| z.as_vec2().extend(-slope * z.length() as f32) * 30.0;
+            let whole = TriMesh { positions_mm: z.iter().map(place).collect(), triangles, uv: None };
+            let (mut mesh, _) = whole.submesh(|t| whole.triangles[t].iter().all(|&v| z[v as usize].length() > 0.41));
+            let mut half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
+            let rings = half_edges.boundary_loops();
+            let inner = rings.iter().min_by_key(|ring| ring.len()).unwrap();
+            let before = mesh.area_mm2();
+            fill_hole_as(&mut mesh, &mut half_edges, inner, fair);
+            mesh.area_mm2() - before
+        });
+        fair / membrane
+    }
+
+    #[test]
+    fn a_plate_bulges_with_the_slope_around_it_and_never_to_twice_the_membrane() {
+        let gentle = growth(1.0);
+        assert!(gentle > 1.05, "{gentle}");
+        assert!([0.0, 1.0, 2.0, 4.0, 8.0].into_iter().all(|slope| growth(slope) <= MAX_AREA_GROWTH));
+        assert!(overshoots(2.01, 1.0) && overshoots(f64::NAN, 1.0) && !overshoots(1.99, 1.0));
     }
 
     #[test]
