@@ -63,6 +63,18 @@ impl LowerCsc {
         m
     }
 
+    /// Appends the next column, (row, value) from the diagonal down; all columns are there when there is one a row.
+    pub fn push_column(&mut self, column: impl Iterator<Item = (u32, f64)>) {
+        if self.column_start.is_empty() {
+            self.column_start.push(0);
+        }
+        for (row, value) in column {
+            self.rows.push(row);
+            self.values.push(value);
+        }
+        self.column_start.push(self.rows.len() as u32);
+    }
+
     /// Entries of the lower triangle, diagonal included: (row, column, value), column by column, rows ascending.
     pub fn entries(&self) -> impl Iterator<Item = (u32, u32, f64)> + '_ {
         (0..self.size() as u32).flat_map(move |c| {
@@ -103,7 +115,7 @@ impl LowerCsc {
 
     /// Rows (and columns) of the matrix.
     pub fn size(&self) -> usize {
-        self.column_start.len() - 1
+        self.column_start.len().saturating_sub(1)
     }
 
     fn as_faer(&self) -> SparseColMatRef<'_, u32, f64> {

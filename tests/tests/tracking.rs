@@ -39,7 +39,7 @@ fn cpu_time() -> Duration {
 type Lifted = Vec<(u32, Vec3)>;
 
 fn lift(tracks: &[Track], map: &PixelMap<'_>) -> Lifted {
-    tracks.iter().filter_map(|t| Some((t.id, map.lift(t.px)?.position_mm))).collect()
+    tracks.iter().filter_map(|t| Some((t.id, map.lift_mm(t.px)?))).collect()
 }
 
 /// Distances (mm) of landmarks from where the truth moves them, over one interval.

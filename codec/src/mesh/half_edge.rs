@@ -62,6 +62,31 @@ impl HalfEdges {
         Ok(mesh)
     }
 
+    /// Connectivity of the triangles that are `alive`, given their half-edges as (origin, twin) and the new number of each
+    /// vertex they use; the others' half-edges are nobody's twin.
+    pub(crate) fn of_kept(
+        alive: &[bool],
+        half_edge: impl Fn(usize) -> (u32, u32),
+        new_vertex: &[u32],
+        vertex_count: usize,
+    ) -> Self {
+        let mut count = 0;
+        let mut new_triangle = Vec::with_capacity(alive.len());
+        for &alive in alive {
+            new_triangle.push(count);
+            count += u32::from(alive);
+        }
+        let moved = |g: u32| if g == NONE { NONE } else { 3 * new_triangle[g as usize / 3] + g % 3 };
+        let (mut origin, mut twin) = (Vec::with_capacity(3 * count as usize), Vec::with_capacity(3 * count as usize));
+        for (t, _) in alive.iter().enumerate().filter(|(_, alive)| **alive) {
+            let sides = [3 * t, 3 * t + 1, 3 * t + 2].map(&half_edge);
+            origin.extend(sides.map(|(v, _)| new_vertex[v as usize]));
+            twin.extend(sides.map(|(_, g)| moved(g)));
+        }
+        let outgoing = outgoing_half_edges(vertex_count, &origin, &twin);
+        Self { origin, twin, outgoing }
+    }
+
     /// Number of vertices, with or without triangles.
     pub fn vertex_count(&self) -> usize {
         self.outgoing.len()

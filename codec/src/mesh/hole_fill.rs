@@ -37,12 +37,12 @@ struct Patch<'a> {
 /// Closes the hole inside `ring`, a boundary loop of `mesh` as [`HalfEdges::boundary_loops`] gives it. New vertices
 /// and triangles are appended; positions and texture coordinates are those of a thin plate, of a membrane in very large
 /// holes and where a plate would overshoot.
-pub(crate) fn fill_hole(mesh: &mut TriMesh, half_edges: &HalfEdges, ring: &[u32]) {
+pub(crate) fn fill_hole(mesh: &mut TriMesh, half_edges: &mut HalfEdges, ring: &[u32]) {
     fill_hole_as(mesh, half_edges, ring, true);
 }
 
 /// As [`fill_hole`]; a membrane where not `fair`.
-fn fill_hole_as(mesh: &mut TriMesh, half_edges: &HalfEdges, ring: &[u32], fair: bool) {
+fn fill_hole_as(mesh: &mut TriMesh, half_edges: &mut HalfEdges, ring: &[u32], fair: bool) {
     let mut patch = Patch::new(mesh, half_edges, ring);
     for _ in 0..MAX_REFINE_ROUNDS {
         if !patch.split() {
@@ -56,7 +56,8 @@ fn fill_hole_as(mesh: &mut TriMesh, half_edges: &HalfEdges, ring: &[u32], fair: 
         patch.make_fair(mesh);
         patch.flip_to_delaunay();
     }
-    patch.append_to(mesh);
+    let Patch { rim, values, origin, twin, .. } = patch;
+    append(mesh, half_edges, [&rim, &origin, &twin], &values[rim.len()..]);
 }
 
 impl<'a> Patch<'a> {
@@ -222,15 +223,33 @@ impl<'a> Patch<'a> {
         let laplacian = Laplacian { start, neighbours, rim: rim as u32 };
         laplacian.solve(&mut self.values);
     }
+}
 
-    fn append_to(self, mesh: &mut TriMesh) {
-        let (rim, first) = (self.rim.len(), mesh.positions_mm.len());
-        let global = |v: u32| self.rim.get(v as usize).copied().unwrap_or((first + v as usize - rim) as u32);
-        mesh.triangles.extend(self.origin.chunks_exact(3).map(|t| [global(t[0]), global(t[1]), global(t[2])]));
-        mesh.positions_mm.extend((rim..self.values.len()).map(|v| self.position(v as u32)));
-        if let Some(uv) = &mut mesh.uv {
-            uv.extend(self.values[rim..].iter().map(|p| [p[3] as f32, p[4] as f32]));
+/// Sews a patch, given by its rim and its local half-edges' origins and twins, into the mesh and its connectivity.
+fn append(mesh: &mut TriMesh, half_edges: &mut HalfEdges, [rim, origin, twin]: [&[u32]; 3], new: &[[f64; 5]]) {
+    let (first, first_h) = (mesh.vertex_count() as u32, half_edges.origin.len() as u32);
+    let global = |v: u32| rim.get(v as usize).copied().unwrap_or_else(|| first + v - rim.len() as u32);
+    half_edges.origin.extend(origin.iter().map(|&v| global(v)));
+    half_edges.outgoing.resize(first as usize + new.len(), NONE);
+    for (h, &local) in (0..).zip(twin) {
+        let v = global(origin[h as usize]) as usize;
+        if half_edges.outgoing[v] == NONE {
+            half_edges.outgoing[v] = first_h + h;
         }
+        let twin = if local == NONE {
+            // The half-edge of the old border that runs the other way leaves where this one ends.
+            let across = half_edges.outgoing[half_edges.to(first_h + h) as usize];
+            half_edges.twin[across as usize] = first_h + h;
+            across
+        } else {
+            first_h + local
+        };
+        half_edges.twin.push(twin);
+    }
+    mesh.triangles.extend_from_slice(half_edges.origin[first_h as usize..].as_chunks::<3>().0);
+    mesh.positions_mm.extend(new.iter().map(|p| Vec3::new(p[0] as f32, p[1] as f32, p[2] as f32)));
+    if let Some(uv) = &mut mesh.uv {
+        uv.extend(new.iter().map(|p| [p[3] as f32, p[4] as f32]));
     }
 }
 
@@ -344,10 +363,15 @@ mod tests {
 
     fn fill_inner(mesh: &mut TriMesh, fair: bool) -> HalfEdges {
         let before = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
+        let mut sewn = before.clone();
         for ring in &before.boundary_loops()[1..] {
-            fill_hole_as(mesh, &before, ring, fair);
+            fill_hole_as(mesh, &mut sewn, ring, fair);
         }
-        HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap()
+        let built = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
+        assert_eq!((&sewn.origin, &sewn.twin), (&built.origin, &built.twin));
+        let leaves = |(v, &h): (usize, &u32)| sewn.from(h) == v as u32;
+        assert!(sewn.outgoing.iter().enumerate().all(leaves));
+        built
     }
 
     #[test]

@@ -21,8 +21,6 @@ pub struct IntrinsicMesh {
     pub twin: Vec<u32>,
     /// Length of each half-edge's edge.
     pub length: Vec<f64>,
-    /// Edges that [`Self::make_delaunay`] leaves alone, a half-edge.
-    pub locked: Vec<bool>,
     /// Vertices, those made by [`Self::split`] included.
     pub vertex_count: usize,
 }
@@ -34,13 +32,7 @@ impl IntrinsicMesh {
         let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
         let length =
             (0..origin.len() as u32).map(|h| at(origin[h as usize]).distance(at(origin[next(h) as usize]))).collect();
-        Self {
-            locked: vec![false; origin.len()],
-            origin,
-            twin: twin.to_vec(),
-            length,
-            vertex_count: mesh.vertex_count(),
-        }
+        Self { origin, twin: twin.to_vec(), length, vertex_count: mesh.vertex_count() }
     }
 
     /// Makes every edge longer by the same amount, the least that leaves no triangle degenerate (Sharp, Crane 2020, "A
@@ -96,7 +88,7 @@ impl IntrinsicMesh {
         cotangents
     }
 
-    /// Flips edges until every interior edge that is not locked is Delaunay; returns the number of flips.
+    /// Flips edges until every interior edge is Delaunay; returns the number of flips.
     pub fn make_delaunay(&mut self) -> usize {
         let cotangents = self.cotangents();
         let inner = |&(h, &g): &(usize, &u32)| g != NONE && h < g as usize;
@@ -112,11 +104,7 @@ impl IntrinsicMesh {
         while let Some(h) = stack.pop() {
             queued[h as usize] = false;
             let other = self.twin[h as usize];
-            if other == NONE
-                || self.locked[h as usize]
-                || self.cotangent(h) + self.cotangent(other) >= DELAUNAY_SLACK
-                || flips >= most
-            {
+            if other == NONE || self.cotangent(h) + self.cotangent(other) >= DELAUNAY_SLACK || flips >= most {
                 continue;
             }
             if self.flip(h) {
@@ -149,7 +137,7 @@ impl IntrinsicMesh {
         if !diagonal.is_finite() {
             return false;
         }
-        let outer = [bc, ca, ad, db].map(|e| (self.twin[e as usize], self.length[e as usize], self.locked[e as usize]));
+        let outer = [bc, ca, ad, db].map(|e| (self.twin[e as usize], self.length[e as usize]));
         // Triangle of h becomes (c, d, b), that of g becomes (d, c, a); h and g stay the diagonal.
         let (h1, h2, g1, g2) = (next(h), prev(h), next(g), prev(g));
         for (e, v) in [(h, c), (h1, d), (h2, b), (g, d), (g1, c), (g2, a)] {
@@ -166,9 +154,8 @@ impl IntrinsicMesh {
             t if t == db => h1,
             t => t,
         };
-        for (e, (t, len, locked)) in [(h1, old_db), (h2, old_bc), (g1, old_ca), (g2, old_ad)] {
+        for (e, (t, len)) in [(h1, old_db), (h2, old_bc), (g1, old_ca), (g2, old_ad)] {
             self.length[e as usize] = len;
-            self.locked[e as usize] = locked;
             let t = if t == NONE { t } else { moved(t) };
             self.twin[e as usize] = t;
             if t != NONE {
@@ -176,17 +163,6 @@ impl IntrinsicMesh {
             }
         }
         true
-    }
-
-    /// Locks the edges of triangle `t`.
-    pub fn lock(&mut self, t: u32) {
-        for h in 3 * t..3 * t + 3 {
-            let twin = self.twin[h as usize];
-            self.locked[h as usize] = true;
-            if twin != NONE {
-                self.locked[twin as usize] = true;
-            }
-        }
     }
 
     /// Splits interior edge `h` at its middle; the new vertex has the next free index. Returns it.
@@ -213,8 +189,6 @@ impl IntrinsicMesh {
         self.origin.extend([middle, b, c]);
         self.length.extend([half, lbc, median]);
         self.twin.extend([NONE; 3]);
-        self.locked.extend([false, self.locked[bc as usize], false]);
-        self.locked[bc as usize] = false;
         self.length[h as usize] = half;
         self.length[bc as usize] = median;
         self.origin[bc as usize] = middle;
@@ -286,26 +260,6 @@ mod tests {
             let after: f64 = (0..m.twin.len() as u32).step_by(3).map(|h| m.area(h)).sum();
             prop_assert!((after - area).abs() < 1e-6 * area);
         }
-    }
-
-    #[test]
-    fn locked_triangles_stay_while_others_flip() {
-        let mesh = grid(9, 4);
-        let he = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
-        let mut m = IntrinsicMesh::new(&mesh, &he.twin);
-        let kept: Vec<u32> = (0..mesh.triangles.len() as u32).step_by(5).collect();
-        kept.iter().for_each(|&t| m.lock(t));
-        assert!(m.make_delaunay() > 0);
-        check(&m);
-        let sorted = |t: &[u32]| {
-            let mut t = [t[0], t[1], t[2]];
-            t.sort_unstable();
-            t
-        };
-        let present: std::collections::BTreeSet<_> = m.origin.chunks_exact(3).map(sorted).collect();
-        assert!(kept.iter().all(|&t| present.contains(&sorted(&mesh.triangles[t as usize]))));
-        let locked = (0..m.twin.len()).filter(|&h| m.twin[h] != NONE && m.locked[h] != m.locked[m.twin[h] as usize]);
-        assert_eq!(locked.count(), 0, "both sides of an edge agree");
     }
 
     #[test]

@@ -9,7 +9,7 @@ mod report;
 mod surface;
 
 use super::half_edge::{HalfEdges, NONE};
-use super::{TriMesh, hole_fill::fill_hole};
+use super::{DiskMesh, TriMesh, hole_fill::fill_hole};
 use crate::{CodecError, Result};
 use border::{longest_loop, smooth_border};
 use clip::clip_border;
@@ -59,9 +59,10 @@ impl Default for RepairOptions {
 /// used; vertices and triangles keep their order.
 ///
 /// # Errors
-/// [`CodecError::Mesh`] when indices or texture coordinates do not fit the vertices, nothing is left, the surface has
-/// no consistent orientation, is closed (unless `open_closed`), has handles, or a hole is larger than allowed.
-pub fn to_disk(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, RepairReport)> {
+/// [`CodecError::Mesh`] when indices or texture coordinates do not fit the vertices, a texture coordinate is not finite,
+/// nothing is left, the surface has no consistent orientation, is closed (unless `open_closed`), has handles, or a hole is
+/// larger than allowed.
+pub fn to_disk(mesh: &TriMesh, options: &RepairOptions) -> Result<(DiskMesh, RepairReport)> {
     let mut report = RepairReport::default();
     let mut surface = Surface::new(mesh, &mut report)?;
     report.other_piece_triangles += surface.keep_largest_piece();
@@ -74,18 +75,18 @@ pub fn to_disk(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repa
     }
     surface.cut_spikes_and_slivers(options, &mut report);
     surface.trim(options, &mut report);
-    let (mut disk, source) = surface.into_mesh();
+    let (mut disk, mut half_edges, source) = surface.into_mesh();
     report.source = source;
     if options.clip_border {
-        disk = clip(&disk, options, &mut report)?;
+        (disk, half_edges) = clip(&disk, &half_edges, options, &mut report)?;
     }
     if disk.triangles.is_empty() {
         return Err(CodecError::Mesh("no usable surface is left after repair".into()));
     }
-    let border = fill_holes(&mut disk, options, &mut report)?;
-    let half_edges = HalfEdges::build(disk.vertex_count(), &disk.triangles)?;
-    if !half_edges.is_disk() {
-        let (chi, loops) = (half_edges.euler_characteristic(), half_edges.boundary_loops());
+    let border = fill_holes(&mut disk, &mut half_edges, options, &mut report)?;
+    // One piece it is already, so that these two make it a disk.
+    let (chi, loops) = (half_edges.euler_characteristic(), half_edges.boundary_loops());
+    if chi != 1 || loops.len() != 1 {
         let at: Vec<String> = loops.iter().filter_map(|ring| report.first_known(ring)).take(4).collect();
         return Err(CodecError::Mesh(format!(
             "is no disk after repair: Euler characteristic {chi}, {} borders (at vertices {})",
@@ -94,27 +95,36 @@ pub fn to_disk(mesh: &TriMesh, options: &RepairOptions) -> Result<(TriMesh, Repa
         )));
     }
     smooth_border(&mut disk, &half_edges, &border, options.smooth_rounds, &mut report);
-    Ok((disk, report))
+    Ok((DiskMesh::known(disk, half_edges), report))
 }
 
 /// Clips the border and takes away what hangs on by too little then.
-fn clip(mesh: &TriMesh, options: &RepairOptions, report: &mut RepairReport) -> Result<TriMesh> {
-    let (clipped, before) = clip_border(mesh)?;
+fn clip(
+    mesh: &TriMesh,
+    half_edges: &HalfEdges,
+    options: &RepairOptions,
+    report: &mut RepairReport,
+) -> Result<(TriMesh, HalfEdges)> {
+    let (clipped, before) = clip_border(mesh, half_edges);
     let lost = mesh.triangles.len() - clipped.triangles.len().min(mesh.triangles.len());
     report.clipped_triangles += lost;
     let mut surface = Surface::new(&clipped, report)?;
     report.other_piece_triangles += surface.keep_largest_piece();
     surface.trim(options, report);
-    let (kept, source) = surface.into_mesh();
+    let (kept, half_edges, source) = surface.into_mesh();
     let first = |v: u32| before[v as usize];
     report.source =
         source.into_iter().map(|v| if first(v) == NONE { NONE } else { report.source[first(v) as usize] }).collect();
-    Ok(kept)
+    Ok((kept, half_edges))
 }
 
 /// Fills all boundary loops but the longest, which is returned.
-fn fill_holes(mesh: &mut TriMesh, options: &RepairOptions, report: &mut RepairReport) -> Result<Vec<u32>> {
-    let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
+fn fill_holes(
+    mesh: &mut TriMesh,
+    half_edges: &mut HalfEdges,
+    options: &RepairOptions,
+    report: &mut RepairReport,
+) -> Result<Vec<u32>> {
     let mut loops = half_edges.boundary_loops();
     let handles = (2 - loops.len() as i64 - half_edges.euler_characteristic()) / 2;
     if handles > 0 {
@@ -141,7 +151,7 @@ fn fill_holes(mesh: &mut TriMesh, options: &RepairOptions, report: &mut RepairRe
                 options.max_hole_edges
             )));
         }
-        fill_hole(mesh, &half_edges, ring);
+        fill_hole(mesh, half_edges, ring);
     }
     report.holes = loops.len();
     report.largest_hole_edges = loops.iter().map(Vec::len).max().unwrap_or(0);
@@ -179,8 +189,10 @@ mod tests {
 
     fn repair(mesh: &TriMesh) -> (TriMesh, RepairReport) {
         let (disk, report) = to_disk(mesh, &RepairOptions::default()).unwrap();
-        disk.validate().unwrap();
-        assert!(HalfEdges::build(disk.vertex_count(), &disk.triangles).unwrap().is_disk());
+        let known = disk.half_edges().clone();
+        let disk = disk.into_mesh();
+        let built = DiskMesh::new(disk.clone()).unwrap();
+        assert_eq!((&known.origin, &known.twin), (&built.half_edges().origin, &built.half_edges().twin));
         assert_eq!(report.source.len(), disk.vertex_count());
         (disk, report)
     }

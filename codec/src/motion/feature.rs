@@ -177,7 +177,7 @@ mod tests {
         tracker.feed_normalized(&b.relief, &b.mask, true);
         let error = |t: &crate::motion::Track| {
             let from = before.iter().find(|o| o.id == t.id)?;
-            let (p, q) = (a.map.lift(from.px)?.position_mm, b.map.lift(t.px)?.position_mm);
+            let (p, q) = (a.map.lift_mm(from.px)?, b.map.lift_mm(t.px)?);
             Some(q.distance(p + shift))
         };
         let errors: Vec<f32> = tracker.tracks().iter().filter_map(error).collect();

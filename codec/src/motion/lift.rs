@@ -1,7 +1,8 @@
 //! From a pixel of a scan's texture to the point of the surface that it shows.
 
 use super::Mask;
-use crate::{CodecError, Result, mesh::TriMesh};
+use crate::mesh::{Place, TriMesh};
+use crate::{CodecError, Result};
 use glam::Vec3;
 use std::sync::OnceLock;
 
@@ -12,18 +13,7 @@ const MAX_SIDE_PX: u32 = 1 << 14;
 /// A point this far outside a triangle, in barycentric units, still counts as on its edge.
 const EDGE_TOLERANCE: f64 = 1e-6;
 
-/// A point of a triangle mesh.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SurfacePoint {
-    /// Index of the triangle.
-    pub triangle: u32,
-    /// Weights of its corners, not negative, sum 1.
-    pub barycentric: [f32; 3],
-    /// Position, millimetres.
-    pub position_mm: Vec3,
-}
-
-/// Which triangle each pixel shows, and the exact surface point under any pixel position.
+/// Which triangle each pixel shows, and the exact place under any pixel position.
 ///
 /// Where triangles overlap in the picture the one with the larger z (towards the scanner) is seen.
 #[derive(Debug, Clone)]
@@ -109,8 +99,8 @@ impl<'m> PixelMap<'m> {
         Mask::new(self.width as u32, self.height as u32, inside)
     }
 
-    /// The surface point at a pixel position (pixel centres are integers, y down), `None` beside the surface.
-    pub fn lift(&self, px: [f32; 2]) -> Option<SurfacePoint> {
+    /// The place at a pixel position (pixel centres are integers, y down), `None` beside the surface.
+    pub fn lift(&self, px: [f32; 2]) -> Option<Place> {
         let (x, y) = (px[0] + 0.5, px[1] + 0.5);
         if !(x >= 0.0 && y >= 0.0 && x < self.width as f32 && y < self.height as f32) {
             return None;
@@ -118,7 +108,7 @@ impl<'m> PixelMap<'m> {
         let bin = (y as usize / BIN_PX) * self.width.div_ceil(BIN_PX) + x as usize / BIN_PX;
         let bins = self.bins.get_or_init(|| self.sort_into_bins());
         let range = bins.starts[bin] as usize..bins.starts[bin + 1] as usize;
-        let mut best: Option<SurfacePoint> = None;
+        let mut best: Option<(f32, Place)> = None;
         for &triangle in &bins.triangles[range] {
             let Some(planar) = Planar::of(self.corners_px(triangle as usize)) else { continue };
             let weights = planar.barycentric(f64::from(px[0]), f64::from(px[1]));
@@ -126,27 +116,26 @@ impl<'m> PixelMap<'m> {
             if !weights.iter().all(|w| *w >= -EDGE_TOLERANCE) {
                 continue;
             }
-            let point = self.point(triangle, weights);
-            if best.is_none_or(|seen| point.position_mm.z > seen.position_mm.z) {
-                best = Some(point);
+            let place = place(triangle, weights);
+            let z_mm = place.position_mm(self.mesh).z;
+            if best.is_none_or(|(nearest_mm, _)| z_mm > nearest_mm) {
+                best = Some((z_mm, place));
             }
         }
-        best
+        best.map(|(_, place)| place)
     }
 
-    /// The surface point seen at the centre of a pixel, row-major; cheaper than [`Self::lift`] where all pixels are asked for.
-    pub(super) fn seen(&self, pixel: usize) -> Option<SurfacePoint> {
+    /// Position of the surface at a pixel position, mm, as [`Self::lift`].
+    pub fn lift_mm(&self, px: [f32; 2]) -> Option<Vec3> {
+        Some(self.lift(px)?.position_mm(self.mesh))
+    }
+
+    /// The place seen at the centre of a pixel, row-major; cheaper than [`Self::lift`] where all pixels are asked for.
+    pub(super) fn seen(&self, pixel: usize) -> Option<Place> {
         let triangle = *self.triangle_at.get(pixel).filter(|t| **t != u32::MAX)?;
         let planar = Planar::of(self.corners_px(triangle as usize))?;
         let weights = planar.barycentric((pixel % self.width) as f64, (pixel / self.width) as f64);
-        Some(self.point(triangle, weights))
-    }
-
-    fn point(&self, triangle: u32, weights: [f64; 3]) -> SurfacePoint {
-        let barycentric = weights.map(|w| w.clamp(0.0, 1.0) as f32);
-        let [a, b, c] = self.mesh.corners(triangle as usize);
-        let position_mm = a * barycentric[0] + b * barycentric[1] + c * barycentric[2];
-        SurfacePoint { triangle, barycentric, position_mm }
+        Some(place(triangle, weights))
     }
 
     fn corners_px(&self, triangle: usize) -> [[f32; 2]; 3] {
@@ -228,6 +217,10 @@ impl<'m> PixelMap<'m> {
             }
         }
     }
+}
+
+fn place(triangle: u32, weights: [f64; 3]) -> Place {
+    Place { triangle, barycentric: weights.map(|w| w.clamp(0.0, 1.0) as f32) }
 }
 
 /// Least and largest x and y, px, a thousandth wider than the corners.
@@ -314,7 +307,7 @@ mod tests {
                     continue;
                 }
                 let lifted = map.lift(map.vertices_px()[v]).unwrap();
-                assert!(lifted.position_mm.distance(*p) < 1e-3);
+                assert!(lifted.position_mm(&mesh).distance(*p) < 1e-3);
             }
         }
     }
@@ -346,7 +339,7 @@ mod tests {
         mesh.triangles.splice(0..0, back.triangles.iter().map(|t| t.map(|v| v + n)));
         mesh.uv.as_mut().unwrap().extend(back.uv.unwrap());
         let map = PixelMap::new(&mesh, W, H).unwrap();
-        assert!(map.lift([20.3, 15.6]).unwrap().position_mm.z > -6.0);
+        assert!(map.lift([20.3, 15.6]).unwrap().position_mm(&mesh).z > -6.0);
         assert!(map.z_mm()[16 * W as usize + 20] > -6.0);
     }
 
@@ -368,7 +361,9 @@ mod tests {
         half_far.uv.as_mut().unwrap()[15] = [3e38, 3e38];
         let map = PixelMap::new(&half_far, W, H).unwrap();
         assert!(
-            (0..W * H).filter_map(|i| map.lift([(i % W) as f32, (i / W) as f32])).all(|p| p.position_mm.is_finite())
+            (0..W * H)
+                .filter_map(|i| map.lift([(i % W) as f32, (i / W) as f32]))
+                .all(|p| p.position_mm(&half_far).is_finite())
         );
         assert!(PixelMap::new(&far, 0, 0).unwrap().lift([0.0, 0.0]).is_none());
     }
@@ -391,7 +386,7 @@ mod tests {
             prop_assert_eq!(lifted.triangle as usize, t);
             let [p, q, r] = mesh.corners(t);
             let want = p * weights[0] + q * weights[1] + r * weights[2];
-            prop_assert!(lifted.position_mm.distance(want) < 1e-3);
+            prop_assert!(lifted.position_mm(&mesh).distance(want) < 1e-3);
             prop_assert!((lifted.barycentric.iter().sum::<f32>() - 1.0).abs() < 1e-5);
         }
     }

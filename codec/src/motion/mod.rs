@@ -26,7 +26,7 @@ pub use corners::{CornerOptions, find_corners};
 pub use feature::{FeatureFrame, FeatureView};
 pub use float_picture::FloatPicture;
 pub use fringe::remove_fringes;
-pub use lift::{PixelMap, SurfacePoint};
+pub use lift::PixelMap;
 pub use mask::Mask;
 pub use normalize::{GREY_SIGMA_PX, GREY_VARIANCE_FLOOR, high_pass, normalize};
 pub use optical_flow::{FlowOptions, follow, zncc};

@@ -4,6 +4,10 @@
 //! from outside). As published only H and lambda are kept, and S comes back from S on the border by alternating n -> solve ->
 //! n; the normal has to be normalized and damped by half, else the iteration diverges. On a mesh the Laplacian vector has a
 //! tangential part too; [`CurvatureForm::FullVector`] keeps it, in the frame (S_u, S_v, n) of each vertex.
+//!
+//! Neither form is the production path. On a smooth face model of 200 mm (`codec/tests/expressions.rs`) the full vector comes
+//! back to about 0.16 mm rms, the published form to 4.4 mm, a spline through the vertex positions is nearer than either;
+//! the published article's 1e-3 is not reached.
 
 use super::conformal_factors;
 use super::dirichlet::Dirichlet;

@@ -7,19 +7,17 @@
 
 use super::harmonic::HarmonicSystem;
 use super::mobius::Mobius;
+use super::untangle::untangle;
 use crate::linalg::SparseLlt;
 use crate::mesh::half_edge::{NONE, next};
 use crate::mesh::intrinsic::IntrinsicMesh;
-use crate::mesh::{HalfEdges, TriMesh};
+use crate::mesh::{DiskMesh, HalfEdges, TriMesh};
 use crate::{CodecError, Result};
 use glam::DVec2;
 use std::f64::consts::TAU;
 
 /// Border flux is floored at this share of its mean: staircase corners may have none.
 const FLUX_FLOOR: f64 = 1e-3;
-
-/// Times that a map with flipped triangles is solved again with them locked.
-const MAX_UNFLIP_PASSES: usize = 5;
 
 /// A surface laid on the unit disk.
 #[derive(Debug, Clone)]
@@ -30,7 +28,7 @@ pub struct DiskMap {
     pub centre: u32,
     /// Border vertices, counter-clockwise.
     pub border: Vec<u32>,
-    /// Triangles of the embedded mesh that the map turns over.
+    /// Triangles of the embedded mesh that the map turns over; none on the scans tried.
     pub flips: usize,
 }
 
@@ -39,10 +37,6 @@ pub struct DiskMap {
 pub struct DiskOptions {
     /// Vertex that goes to the centre; the one farthest from the border in edge steps by default.
     pub centre: Option<u32>,
-    /// Whether triangles of the embedded mesh that are turned over are turned back, at a cost in angles. The intrinsic
-    /// triangulation has none anyway; here flipped triangles and a growing ring around them are kept as they are in it,
-    /// their weights held positive. [`DiskMap::flips`] tells what is left, none on the scans tried.
-    pub unflip: bool,
 }
 
 /// Maps a disk to the unit disk; rotated so that +y of the scan frame points up.
@@ -50,7 +44,7 @@ pub struct DiskOptions {
 /// # Errors
 /// [`CodecError::Mesh`] when `mesh` is not a disk, lies in one point, or is too degenerate for its Laplacian to factorize.
 pub fn disk_map(mesh: &TriMesh) -> Result<DiskMap> {
-    DiskMapper::default().map(mesh, &mut |_| ())
+    DiskMapper::default().map(&DiskMesh::new(mesh.clone())?, &mut |_| ())
 }
 
 /// Maps disks one after another; elimination order and symbolic factor are kept while the Laplacian has the same
@@ -68,15 +62,23 @@ impl DiskMapper {
     }
 
     /// As [`disk_map`]; `on_stage` is called with the name of each stage when it ends: topology, intrinsic, assemble,
-    /// factorize, solve, and unflip where wanted.
+    /// factorize, solve, untangle.
     ///
     /// # Errors
     /// As [`disk_map`], and when the wanted centre is no inner vertex.
-    pub fn map(&mut self, mesh: &TriMesh, on_stage: &mut dyn FnMut(&'static str)) -> Result<DiskMap> {
-        let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
-        let border = single_border(mesh, &half_edges)?;
+    pub fn map(&mut self, mesh: &DiskMesh, on_stage: &mut dyn FnMut(&'static str)) -> Result<DiskMap> {
+        let mut map = self.harmonic_map(mesh, on_stage)?;
+        map.flips = untangle(mesh, &mut map.points, &map.border)?;
+        on_stage("untangle");
+        Ok(map)
+    }
+
+    /// The map that is conformal on the intrinsic triangulation; its flips are not counted.
+    fn harmonic_map(&mut self, mesh: &DiskMesh, on_stage: &mut dyn FnMut(&'static str)) -> Result<DiskMap> {
+        let half_edges = mesh.half_edges();
+        let border = border_of(mesh)?;
         let centre = match self.options.centre {
-            None => deepest_vertex(&half_edges, &border),
+            None => deepest_vertex(half_edges, &border),
             Some(v) if (v as usize) < mesh.vertex_count() && !half_edges.is_boundary_vertex(v) => v,
             Some(v) => {
                 let v = u64::from(v) + 1;
@@ -84,8 +86,7 @@ impl DiskMapper {
             }
         };
         on_stage("topology");
-        let locked = vec![false; mesh.triangles.len()];
-        let intrinsic = intrinsic_disk(mesh, &half_edges, &border, &locked)?;
+        let intrinsic = intrinsic_disk(mesh, &border)?;
         on_stage("intrinsic");
         let system = HarmonicSystem::assemble(&intrinsic, &border);
         on_stage("assemble");
@@ -101,46 +102,17 @@ impl DiskMapper {
         if !points.iter().all(|z| z.is_finite()) {
             return Err(CodecError::Mesh("too degenerate to be laid on a disk".into()));
         }
-        if self.options.unflip {
-            unflip(mesh, &half_edges, &border, locked, &mut points)?;
-            on_stage("unflip");
-        }
-        let flips = mesh.triangles.iter().filter(|t| signed_area(&points, **t) <= 0.0).count();
-        Ok(DiskMap { points, centre, border, flips })
+        Ok(DiskMap { points, centre, border, flips: 0 })
     }
 }
 
-/// Intrinsic Delaunay triangulation of a disk, the edges of `locked` triangles kept, no edge across from border to border.
-fn intrinsic_disk(mesh: &TriMesh, half_edges: &HalfEdges, border: &[u32], locked: &[bool]) -> Result<IntrinsicMesh> {
-    let mut intrinsic = IntrinsicMesh::new(mesh, &half_edges.twin);
+/// Intrinsic Delaunay triangulation of a disk, no edge across from border to border.
+fn intrinsic_disk(mesh: &DiskMesh, border: &[u32]) -> Result<IntrinsicMesh> {
+    let mut intrinsic = IntrinsicMesh::new(mesh, &mesh.half_edges().twin);
     intrinsic.mollify()?;
-    (0..locked.len()).filter(|&t| locked[t]).for_each(|t| intrinsic.lock(t as u32));
     intrinsic.make_delaunay();
     separate_border(&mut intrinsic, border, mesh.vertex_count());
     Ok(intrinsic)
-}
-
-/// Solves again with flipped triangles and a growing ring around them locked, the border where it is, until no triangle
-/// is flipped or passes run out.
-fn unflip(
-    mesh: &TriMesh,
-    half_edges: &HalfEdges,
-    border: &[u32],
-    mut locked: Vec<bool>,
-    points: &mut Vec<DVec2>,
-) -> Result<()> {
-    let circle: Vec<DVec2> = border.iter().map(|&b| points[b as usize]).collect();
-    for rings in 0..MAX_UNFLIP_PASSES {
-        if !mesh.triangles.iter().any(|t| signed_area(points, *t) <= 0.0) {
-            break;
-        }
-        lock_flips(mesh, points, rings, &mut locked);
-        let system = HarmonicSystem::assemble(&intrinsic_disk(mesh, half_edges, border, &locked)?, border);
-        let mut factor = None;
-        *points = system.extend(system.factorize(&mut factor, &mesh.positions_mm)?, border, &circle);
-        points.truncate(mesh.vertex_count());
-    }
-    Ok(())
 }
 
 fn on_circle(theta: &[f64]) -> Vec<DVec2> {
@@ -150,9 +122,9 @@ fn on_circle(theta: &[f64]) -> Vec<DVec2> {
 /// Harmonic map to the unit disk whose border keeps its proportions, where the flow of a double cover starts; and the
 /// border.
 pub(super) fn border_on_circle(mesh: &TriMesh) -> Result<(Vec<DVec2>, Vec<u32>)> {
-    let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
-    let border = single_border(mesh, &half_edges)?;
-    let intrinsic = intrinsic_disk(mesh, &half_edges, &border, &vec![false; mesh.triangles.len()])?;
+    let mesh = &DiskMesh::new(mesh.clone())?;
+    let border = border_of(mesh)?;
+    let intrinsic = intrinsic_disk(mesh, &border)?;
     let system = HarmonicSystem::assemble(&intrinsic, &border);
     let circle = on_circle(&angles_of(&border_lengths(&intrinsic, &border)));
     let mut factor = None;
@@ -161,44 +133,14 @@ pub(super) fn border_on_circle(mesh: &TriMesh) -> Result<(Vec<DVec2>, Vec<u32>)>
     Ok((points, border))
 }
 
-/// Locks the triangles that `points` turns over and those up to `rings` rings around them.
-fn lock_flips(mesh: &TriMesh, points: &[DVec2], rings: usize, locked: &mut [bool]) {
-    let mut near = vec![false; points.len()];
-    let mark = |near: &mut [bool], t: &[u32; 3]| t.iter().for_each(|&v| near[v as usize] = true);
-    for (t, locked) in mesh.triangles.iter().zip(locked.iter_mut()).filter(|(t, _)| signed_area(points, **t) <= 0.0) {
-        *locked = true;
-        mark(&mut near, t);
-    }
-    for _ in 0..rings {
-        let inside = near.clone();
-        for (t, locked) in mesh.triangles.iter().zip(locked.iter_mut()) {
-            if t.iter().any(|&v| inside[v as usize]) {
-                *locked = true;
-                mark(&mut near, t);
-            }
-        }
-    }
-}
-
 /// Twice the signed area of a triangle on the disk.
 pub fn signed_area(points: &[DVec2], t: [u32; 3]) -> f64 {
     let [a, b, c] = t.map(|v| points[v as usize]);
     (b - a).perp_dot(c - a)
 }
 
-fn single_border(mesh: &TriMesh, half_edges: &HalfEdges) -> Result<Vec<u32>> {
-    let mut loops = half_edges.boundary_loops();
-    if !half_edges.is_disk() {
-        let at: Vec<String> = loops.iter().take(4).map(|ring| (ring[0] + 1).to_string()).collect();
-        let at = if at.is_empty() { "no edge on a border".into() } else { format!("at vertices {}", at.join(", ")) };
-        return Err(CodecError::Mesh(format!(
-            "not a disk: {} boundary loops ({at}), Euler characteristic {}, {} pieces (1 of each wanted)",
-            loops.len(),
-            half_edges.euler_characteristic(),
-            half_edges.triangle_components().1
-        )));
-    }
-    let border = loops.swap_remove(0);
+fn border_of(mesh: &DiskMesh) -> Result<Vec<u32>> {
+    let border = mesh.half_edges().boundary_loops().swap_remove(0);
     if border.len() == mesh.vertex_count() {
         return Err(CodecError::Mesh("every vertex lies on the border; nothing to map".into()));
     }
@@ -213,7 +155,7 @@ fn separate_border(m: &mut IntrinsicMesh, border: &[u32], vertex_count: usize) {
     }
     let joins = |m: &IntrinsicMesh, on_border: &[bool], h: u32| {
         let is = |v: u32| on_border.get(v as usize).copied().unwrap_or(false);
-        m.twin[h as usize] != NONE && !m.locked[h as usize] && is(m.origin[h as usize]) && is(m.target(h))
+        m.twin[h as usize] != NONE && is(m.origin[h as usize]) && is(m.target(h))
     };
     // Flipping after a split may join border vertices again; a few rounds always sufficed, the bound is a guard.
     for _ in 0..16 {
@@ -397,12 +339,11 @@ mod tests {
     }
 
     #[test]
-    fn unflipping_leaves_no_flip_and_other_angles_alone() {
-        let mesh = spiky();
-        let plain = disk_map(&mesh).unwrap();
-        assert!(plain.flips > 0, "the surface is rough enough to flip");
-        let options = DiskOptions { unflip: true, ..Default::default() };
-        let map = DiskMapper::new(options).map(&mesh, &mut |_| ()).unwrap();
+    fn a_rough_surface_is_untangled_and_other_angles_are_left_alone() {
+        let mesh = DiskMesh::new(spiky()).unwrap();
+        let plain = DiskMapper::default().harmonic_map(&mesh, &mut |_| ()).unwrap();
+        assert!(mesh.triangles.iter().any(|t| signed_area(&plain.points, *t) <= 0.0), "rough enough to flip");
+        let map = DiskMapper::default().map(&mesh, &mut |_| ()).unwrap();
         assert_eq!(map.flips, 0);
         assert!(map.border.iter().all(|&b| map.points[b as usize].distance(plain.points[b as usize]) < 1e-12));
         let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
@@ -416,7 +357,8 @@ mod tests {
         let (z, triangles) = polar_disk(12);
         let place = |z: &DVec2| Vec3::new(z.x as f32, z.y as f32, 0.4 * z.length_squared() as f32) * 90.0;
         let mesh = TriMesh { positions_mm: z.iter().map(place).collect(), triangles, uv: None };
-        let centred = |centre| DiskMapper::new(DiskOptions { centre, unflip: false }).map(&mesh, &mut |_| ());
+        let mesh = DiskMesh::new(mesh).unwrap();
+        let centred = |centre| DiskMapper::new(DiskOptions { centre }).map(&mesh, &mut |_| ());
         let (middle, aside) = (centred(None).unwrap(), centred(Some(60)).unwrap());
         assert_eq!((middle.centre, aside.centre), (0, 60));
         assert!(aside.points[60].length() < 1e-12);
@@ -435,7 +377,8 @@ mod tests {
             let place =
                 |z: &DVec2| Vec3::new(80.0 * z.x as f32, (80 + 20 * k) as f32 * z.y as f32, 30.0 * (z.x * z.y) as f32);
             let mesh = TriMesh { positions_mm: z.iter().map(place).collect(), triangles: triangles.clone(), uv: None };
-            let (again, single) = (mapper.map(&mesh, &mut |_| ()).unwrap(), disk_map(&mesh).unwrap());
+            let (again, single) =
+                (mapper.map(&DiskMesh::new(mesh.clone()).unwrap(), &mut |_| ()).unwrap(), disk_map(&mesh).unwrap());
             assert!(again.points.iter().zip(&single.points).all(|(a, b)| a.distance(*b) < 1e-12));
         }
     }
@@ -495,13 +438,13 @@ mod tests {
             for p in &mut mesh.positions_mm {
                 p.z = 20.0 * (p.x * 0.03).sin() + 0.002 * p.x * p.y;
             }
-            let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
-            let border = single_border(&mesh, &half_edges).unwrap();
-            let intrinsic = intrinsic_disk(&mesh, &half_edges, &border, &vec![false; mesh.triangles.len()]).unwrap();
+            let mesh = DiskMesh::new(mesh).unwrap();
+            let (half_edges, border) = (mesh.half_edges(), border_of(&mesh).unwrap());
+            let intrinsic = intrinsic_disk(&mesh, &border).unwrap();
             let system = HarmonicSystem::assemble(&intrinsic, &border);
             let mut slot = None;
             let factor = system.factorize(&mut slot, &mesh.positions_mm).unwrap();
-            let centre = deepest_vertex(&half_edges, &border);
+            let centre = deepest_vertex(half_edges, &border);
             let theta = border_angles(&intrinsic, &system.harmonic_measure(factor, centre), &border);
             let points = system.extend(factor, &border, &on_circle(&theta));
             for t in intrinsic.origin.chunks_exact(3) {

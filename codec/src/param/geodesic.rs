@@ -55,8 +55,8 @@ impl Geodesic {
 
 /// A surface on which geodesics are drawn.
 pub struct GeodesicSurface<'a> {
-    mesh: &'a TriMesh,
-    disk: &'a [DVec2],
+    pub(super) mesh: &'a TriMesh,
+    pub(super) disk: &'a [DVec2],
     edges: HalfEdges,
     defects_rad: Vec<f64>,
 }

@@ -6,10 +6,6 @@ use crate::mesh::half_edge::NONE;
 use crate::mesh::intrinsic::IntrinsicMesh;
 use glam::{DVec2, Vec3};
 
-/// Weights of locked edges are held within this range: as long as they are positive the map of a disk turns no
-/// triangle over (Tutte, Floater), and within it the map stays close to the conformal one.
-const LOCKED_WEIGHTS: [f64; 2] = [0.1, 3.0];
-
 /// The interior block of the Laplacian and its coupling to the border.
 pub(crate) struct HarmonicSystem {
     /// Interior row of a vertex, `u32::MAX` on the border.
@@ -40,8 +36,7 @@ impl HarmonicSystem {
                 continue;
             }
             let weight = 0.5 * (cotangents[h as usize] + cotangents[other as usize]);
-            let [low, high] = if m.locked[h as usize] { LOCKED_WEIGHTS } else { [0.0, f64::INFINITY] };
-            let w = weight.clamp(low, high);
+            let w = weight.max(0.0);
             let (ri, rj) = (row[i as usize], row[j as usize]);
             for r in [ri, rj] {
                 if r != u32::MAX {

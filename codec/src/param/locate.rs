@@ -1,27 +1,8 @@
 //! Point location on a triangulated disk by a uniform grid over [-1, 1]^2.
 
 use super::disk::signed_area;
+pub use crate::mesh::Place;
 use glam::DVec2;
-
-/// A place on a mesh: triangle and barycentric coordinates (>= 0, summing to 1).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
-    /// Triangle index.
-    pub triangle: u32,
-    /// Weights of its corners.
-    pub barycentric: [f32; 3],
-}
-
-impl Place {
-    /// Value interpolated from the corners.
-    pub fn interpolate<T>(&self, triangles: &[[u32; 3]], values: &[T]) -> T
-    where
-        T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
-    {
-        let [a, b, c] = triangles[self.triangle as usize].map(|v| values[v as usize]);
-        a * self.barycentric[0] + b * self.barycentric[1] + c * self.barycentric[2]
-    }
-}
 
 /// Most cells a triangle touches on average: scans touch three or four, slivers across the disk a good part of the grid.
 const CELLS_PER_TRIANGLE: usize = 32;

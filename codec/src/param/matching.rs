@@ -1,6 +1,6 @@
 //! Matching function from disk to disk: the best Möbius transformation, then a warp through the landmarks.
 
-use super::beltrami;
+use super::beltrami::{self, Tie};
 use super::clamped_plate::ClampedPlate;
 use super::disk::signed_area;
 use super::grid_plate::{GridPlate, GridPlateOptions};
@@ -210,28 +210,23 @@ impl Problem<'_> {
         (0..steps).map(|k| ClampedPlate::fit(&at(k), &at(k + 1))).collect()
     }
 
-    /// The map that folds, with its Beltrami coefficient cut, the border and the vertices nearest to landmarks held.
-    fn unfolded(&self, mut images: Vec<DVec2>) -> Result<Option<PiecewiseLinear>> {
+    /// The map that folds, with its Beltrami coefficient cut, the border held and the landmarks tied to their images.
+    fn unfolded(&self, images: Vec<DVec2>) -> Result<Option<PiecewiseLinear>> {
         let triangles = self.source.triangles;
         let edges = HalfEdges::build(self.points.len(), triangles)?;
         // A vertex without triangles belongs to no equation.
-        let mut held: Vec<bool> = (0..self.points.len() as u32)
+        let held: Vec<bool> = (0..self.points.len() as u32)
             .map(|v| edges.is_boundary_vertex(v) || edges.neighbours(v).next().is_none())
             .collect();
         let locator = DiskLocator::new(&self.points, triangles);
-        for (p, q) in self.from.iter().zip(&self.to) {
-            let Some(place) = locator.locate(&self.points, triangles, *p) else {
-                return Err(CodecError::Mesh("the source disk has no upright triangle".into()));
-            };
-            let corners = triangles[place.triangle as usize].map(|v| v as usize);
-            let near = (0..3).max_by(|&a, &b| place.barycentric[a].total_cmp(&place.barycentric[b])).unwrap_or(0);
-            let v = corners[near];
-            if !held[v] {
-                held[v] = true;
-                images[v] = *q + (self.points[v] - *p);
-            }
-        }
-        let unfolded = beltrami::unfold(&self.points, triangles, &images, &held)?;
+        let tie = |(p, q): (&DVec2, &DVec2)| {
+            let place = locator.locate(&self.points, triangles, *p)?;
+            Some(Tie { place, image: *q })
+        };
+        let Some(ties) = self.from.iter().zip(&self.to).map(tie).collect::<Option<Vec<Tie>>>() else {
+            return Err(CodecError::Mesh("the source disk has no upright triangle".into()));
+        };
+        let unfolded = beltrami::unfold(&self.points, triangles, &images, &held, &ties)?;
         Ok(unfolded.map(|images| PiecewiseLinear {
             points: self.points.clone(),
             images,

@@ -10,6 +10,7 @@ pub mod curvature_map;
 pub mod dirichlet;
 pub mod disk;
 pub mod geodesic;
+pub mod geodesic_partition;
 pub mod grid_plate;
 mod harmonic;
 mod kernel_sum;
@@ -21,6 +22,7 @@ pub mod mobius;
 pub mod partition;
 pub mod sphere;
 pub mod thin_plate;
+mod untangle;
 
 pub use angle_error::{AngleErrors, HISTOGRAM_BOUNDS_DEG};
 pub use conformal_factor::conformal_factors;

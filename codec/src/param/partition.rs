@@ -1,8 +1,8 @@
 //! Partition of the disk by landmarks: Delaunay triangles between them, and the registration that carries barycentric
 //! coordinates from a triangle to its image.
 //!
-//! The straight edges of the partition are where [`super::geodesic`] starts; registration keeps to the straight ones, which
-//! tile the disk without overlap.
+//! Straight edges tile the disk without overlap whatever the surface; [`super::geodesic_partition`] registers within edges
+//! that are geodesics.
 
 use super::locate::DiskLocator;
 use crate::{CodecError, Result};
@@ -43,14 +43,32 @@ impl Partition {
         Ok(Self { points, triangles, locator })
     }
 
+    /// The same triangles over moved landmarks, the circle's points where they are.
+    ///
+    /// # Errors
+    /// [`CodecError::Mesh`] when there is not one image a landmark.
+    pub fn moved(&self, images: &[DVec2]) -> Result<Self> {
+        let count = self.points.len() - BORDER_POINTS as usize;
+        if images.len() != count {
+            return Err(CodecError::Mesh(format!("{} images for {count} landmarks", images.len())));
+        }
+        let points: Vec<DVec2> = images.iter().chain(&self.points[count..]).copied().collect();
+        let locator = DiskLocator::new(&points, &self.triangles);
+        Ok(Self { points, triangles: self.triangles.clone(), locator })
+    }
+
+    /// Landmarks, without the points on the circle.
+    pub fn landmarks(&self) -> &[DVec2] {
+        &self.points[..self.points.len() - BORDER_POINTS as usize]
+    }
+
     /// Image of `z` when the landmarks go to `images` and the circle's points stay: the same barycentric coordinates in the
     /// image of its triangle. Continuous, exact at landmarks. Points between the polygon and the circle keep their offset.
     ///
     /// # Panics
     /// When there is not one image a landmark.
     pub fn register(&self, images: &[DVec2], z: DVec2) -> DVec2 {
-        let count = self.points.len() - BORDER_POINTS as usize;
-        assert_eq!(images.len(), count, "one image a landmark");
+        assert_eq!(images.len(), self.landmarks().len(), "one image a landmark");
         let Some(place) = self.locator.locate(&self.points, &self.triangles, z) else { return z };
         let moved = |v: u32| images.get(v as usize).map_or(DVec2::ZERO, |q| *q - self.points[v as usize]);
         let corners = self.triangles[place.triangle as usize];

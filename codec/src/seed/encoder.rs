@@ -121,8 +121,8 @@ impl Encoder {
     fn prepare(&self, mesh: &TriMesh) -> Result<(TriMesh, RepairReport)> {
         let (disk, report) = to_disk(mesh, &self.config.repair)?;
         let target = (mesh.vertex_count() / self.config.vertex_ratio as usize).clamp(4, surface::MAX_VERTICES as usize);
-        let (small, _) = simplify(&disk, target, &SimplifyOptions::default())?;
-        Ok((small, report))
+        let (small, _) = simplify(&disk, target, &SimplifyOptions::default());
+        Ok((small.into_mesh(), report))
     }
 
     fn close_group(&mut self, scan: &Scan, given: &[GivenLandmark], mesh: &TriMesh) -> Result<EncodedGroup> {

@@ -5,7 +5,6 @@ use super::flattened::{Flattened, Neighbours};
 use crate::mesh::HalfEdges;
 use crate::motion::PixelMap;
 use crate::motion::spline::NaturalSpline;
-use crate::param::locate::Place;
 use crate::param::matching::DiskMatch;
 use crate::{GreyPicture, Result, Scan};
 use glam::{DVec2, Vec2, Vec3};
@@ -204,8 +203,7 @@ fn warp_texture(base: &Flattened, next: &GreyPicture, px: &[Vec2]) -> Result<Opt
         if map.triangles()[i] == u32::MAX {
             continue;
         }
-        if let Some(point) = map.lift(at) {
-            let place = Place { triangle: point.triangle, barycentric: point.barycentric };
+        if let Some(place) = map.lift(at) {
             let source: Vec2 = place.interpolate(&base.group.mesh.triangles, px);
             *level = next.sample(source.to_array()).round() as u8;
         }

@@ -138,7 +138,7 @@ impl LandmarkTrail {
             (View::Resampled(frame) | View::Relief(frame), _) => frame.map(&scan.mesh)?,
             (View::Camera, None) => unreachable!("a view of textures is chosen for scans with one"),
         };
-        Ok(self.tracker.tracks().iter().filter_map(|t| Some((t.id, map.lift(t.px)?.position_mm))).collect())
+        Ok(self.tracker.tracks().iter().filter_map(|t| Some((t.id, map.lift_mm(t.px)?))).collect())
     }
 
     /// Places the landmarks on the decoded keyframe of `scan` (the one fed last); returns those shared with the keyframe

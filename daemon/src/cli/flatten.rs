@@ -11,7 +11,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, ValueEnum};
 use glam::{DVec2, DVec3};
 use gv3_codec::mesh::repair::{RepairOptions, to_disk};
-use gv3_codec::mesh::{HalfEdges, TriMesh};
+use gv3_codec::mesh::{DiskMesh, TriMesh};
 use gv3_codec::param::disk::{DiskMap, DiskMapper, DiskOptions};
 use gv3_codec::param::sphere::{FlowOptions, FlowReport, double_cover_disk_map, sphere_map};
 use gv3_codec::param::{AngleErrors, HISTOGRAM_BOUNDS_DEG};
@@ -33,10 +33,6 @@ pub struct Flatten {
     /// How to map.
     #[arg(long, value_enum, default_value_t = Method::Green)]
     method: Method,
-    /// Turn triangles back that the map turns over, at a cost in angles (method green); the report says how many are
-    /// left, usually none.
-    #[arg(long)]
-    unflip: bool,
     /// Vertex at the centre of the disk, counted from 1 (method green; the innermost by default).
     #[arg(long, value_name = "VERTEX", value_parser = clap::value_parser!(u32).range(1..))]
     centre: Option<u32>,
@@ -84,6 +80,21 @@ impl Method {
     }
 }
 
+/// What is mapped.
+enum Surface {
+    Disk(DiskMesh),
+    Closed(TriMesh),
+}
+
+impl Surface {
+    fn mesh(&self) -> &TriMesh {
+        match self {
+            Self::Disk(disk) => disk,
+            Self::Closed(mesh) => mesh,
+        }
+    }
+}
+
 /// A map and what is known of it.
 struct Flattened {
     /// Points of the disk, z = 0, or of the sphere.
@@ -109,9 +120,6 @@ struct FlattenReport {
     flips: usize,
     /// Largest distance of a border vertex from the unit circle.
     boundary_deviation: f64,
-    /// Whether flips are left although none was wanted.
-    #[serde(skip)]
-    unflip_failed: bool,
     #[serde(skip)]
     histogram: [usize; HISTOGRAM_BOUNDS_DEG.len()],
     #[serde(skip)]
@@ -149,28 +157,29 @@ impl Flatten {
         if self.method == Method::Sphere && self.checkerboard.is_some() {
             bail!("the checkerboard is one of the disk; the sphere has none");
         }
-        if self.method != Method::Green && (self.unflip || self.centre.is_some()) {
-            bail!("--unflip and --centre belong to the method green");
+        if self.method != Method::Green && self.centre.is_some() {
+            bail!("--centre belongs to the method green");
         }
         let read = read_mesh(&self.mesh)?;
         let mut notes = Vec::new();
         let started = Instant::now();
-        let disk = self.disk(read, &mut notes)?;
+        let surface = self.surface(read, &mut notes)?;
         let repair_ms = started.elapsed().as_secs_f64() * 1e3;
         let mut clock = StageClock::start();
         let map = self
-            .map(&disk, &mut clock, &mut notes)
+            .map(&surface, &mut clock, &mut notes)
             .with_context(|| format!("{}: cannot be mapped", self.mesh.display()))?;
         let total_ms = clock.ms.values().sum();
         clock.ms.insert("total", total_ms);
         if !self.no_repair {
             clock.ms.insert("repair", repair_ms);
         }
-        let at = |v: u32| disk.positions_mm[v as usize].as_dvec3();
-        let errors = AngleErrors::between(&disk.triangles, at, |v| map.points[v as usize]);
+        let mesh = surface.mesh();
+        let at = |v: u32| mesh.positions_mm[v as usize].as_dvec3();
+        let errors = AngleErrors::between(&mesh.triangles, at, |v| map.points[v as usize]);
         let deviation = |&v: &u32| (map.points[v as usize].length() - 1.0).abs();
         let report = FlattenReport {
-            vertices: disk.vertex_count(),
+            vertices: mesh.vertex_count(),
             method: self.method.name(),
             ms: clock.ms,
             angle_error_deg: AngleFigures {
@@ -180,53 +189,45 @@ impl Flatten {
                 max: errors.max_deg,
             },
             flips: map.flips,
-            unflip_failed: self.unflip && map.flips > 0,
             boundary_deviation: map.border.iter().map(deviation).fold(0.0, f64::max),
             histogram: errors.histogram,
             notes,
         };
-        self.write(&disk, &map.points)?;
+        self.write(mesh, &map.points)?;
         Outcome::of(self.json, &report, || describe(&report))
     }
 
     /// The mesh as a topological disk; as it is for the sphere, whose map checks it.
-    fn disk(&self, mesh: TriMesh, notes: &mut Vec<String>) -> Result<TriMesh> {
+    fn surface(&self, mesh: TriMesh, notes: &mut Vec<String>) -> Result<Surface> {
         let name = self.mesh.display();
         if self.method == Method::Sphere {
-            return Ok(mesh);
+            return Ok(Surface::Closed(mesh));
         }
         if self.no_repair {
-            let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)
-                .with_context(|| format!("{name}: not without repair"))?;
-            if !half_edges.is_disk() {
-                let loops = half_edges.boundary_loops().len();
-                let pieces = half_edges.triangle_components().1;
-                bail!(
-                    "{name}: {pieces} pieces with {loops} borders are no disk; leave out --no-repair to have it made one"
-                );
-            }
-            return Ok(mesh);
+            let disk =
+                DiskMesh::new(mesh).with_context(|| format!("{name}: leave out --no-repair to have it made a disk"))?;
+            return Ok(Surface::Disk(disk));
         }
         let options =
             RepairOptions { open_closed: self.open_closed, clip_border: !self.keep_border, ..Default::default() };
         let (disk, report) = to_disk(&mesh, &options).with_context(|| format!("{name}: cannot be repaired"))?;
         notes.push(format!("repair: {report}"));
-        Ok(disk)
+        Ok(Surface::Disk(disk))
     }
 
-    fn map(&self, mesh: &TriMesh, clock: &mut StageClock, notes: &mut Vec<String>) -> Result<Flattened> {
-        match self.method {
-            Method::Green => {
-                let options = DiskOptions { centre: self.centre.map(|v| v - 1), unflip: self.unflip };
-                Ok(DiskMapper::new(options).map(mesh, &mut |stage| clock.end(stage))?.into())
+    fn map(&self, surface: &Surface, clock: &mut StageClock, notes: &mut Vec<String>) -> Result<Flattened> {
+        match surface {
+            Surface::Disk(disk) if self.method == Method::Green => {
+                let options = DiskOptions { centre: self.centre.map(|v| v - 1) };
+                Ok(DiskMapper::new(options).map(disk, &mut |stage| clock.end(stage))?.into())
             }
-            Method::Qiem => {
-                let (map, flow) = double_cover_disk_map(mesh, &FlowOptions::default())?;
+            Surface::Disk(disk) => {
+                let (map, flow) = double_cover_disk_map(disk, &FlowOptions::default())?;
                 clock.end("flow");
                 notes.push(describe_flow(&flow));
                 Ok(map.into())
             }
-            Method::Sphere => {
+            Surface::Closed(mesh) => {
                 let map = sphere_map(mesh, &FlowOptions::default())?;
                 clock.end("flow");
                 notes.push(describe_flow(&map.flow));
@@ -293,12 +294,7 @@ fn describe(r: &FlattenReport) -> String {
         let share = 100.0 * count as f64 / corners;
         let _ = writeln!(text, "    up to {bound:>5} {share:>7.3} % {}", "#".repeat((share * 0.4).round() as usize));
     }
-    let _ = writeln!(
-        text,
-        "  turned over  {} triangles{}",
-        r.flips,
-        if r.unflip_failed { " that --unflip leaves" } else { "" }
-    );
+    let _ = writeln!(text, "  turned over  {} triangles", r.flips);
     let _ = writeln!(text, "  border       {:.1e} off the unit circle at most", r.boundary_deviation);
     let stages = r.ms.iter().filter(|(stage, _)| !["total", "repair"].contains(*stage));
     let stages: Vec<String> = stages.map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();
@@ -381,12 +377,12 @@ mod tests {
         let mut holed = dome();
         holed.triangles.retain(|t| !t.contains(&300));
         let holed = file("holed.obj", &holed);
-        assert!(error(&[&holed, "--no-repair"]).contains("1 pieces with 2 borders are no disk"));
+        assert!(error(&[&holed, "--no-repair"]).contains("made a disk: not a disk: 2 boundary loops"));
         assert!(run(&[&holed, "--keep-border"]).unwrap().report.contains("1 holes filled"));
         assert!(run(&[&holed]).unwrap().report.contains("clipped off a ragged border"));
         assert!(error(&[&holed, "--method", "sphere"]).contains("not closed: edge"));
         assert!(error(&[&holed, "--method", "sphere", "--checkerboard", "x.png"]).contains("checkerboard"));
-        assert!(error(&[&holed, "--method", "qiem", "--unflip"]).contains("belong to the method green"));
+        assert!(error(&[&holed, "--method", "qiem", "--centre", "300"]).contains("belongs to the method green"));
         assert!(error(&[&holed, "--centre", "1000000"]).contains("cannot be the centre"));
         assert!(error(&["scan.stl"]).contains("neither .obj nor .ply"));
     }

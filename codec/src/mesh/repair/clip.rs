@@ -3,7 +3,6 @@
 //! Crossings near a vertex are snapped to it: the vertex moves onto the curve, and no sliver is made.
 
 use super::border::longest_loop;
-use crate::Result;
 use crate::mesh::half_edge::{NONE, next};
 use crate::mesh::{HalfEdges, TriMesh};
 
@@ -18,19 +17,15 @@ const SNAP: f32 = 0.3;
 
 /// The mesh below the curve, and for each of its vertices the index before, [`NONE`] for new ones, which come last.
 /// Moved vertices keep theirs. Only the longest border is clipped.
-///
-/// # Errors
-/// [`crate::CodecError::Mesh`] when `mesh` is no oriented manifold.
-pub(super) fn clip_border(mesh: &TriMesh) -> Result<(TriMesh, Vec<u32>)> {
-    let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles)?;
-    let mut depth = smooth_depth(&half_edges, &longest_loop(mesh, &half_edges.boundary_loops()));
+pub(super) fn clip_border(mesh: &TriMesh, half_edges: &HalfEdges) -> (TriMesh, Vec<u32>) {
+    let mut depth = smooth_depth(half_edges, &longest_loop(mesh, &half_edges.boundary_loops()));
     let mut clipped = mesh.clone();
-    snap(&mut clipped, &half_edges, &mut depth);
-    let triangles = cut(&mut clipped, &half_edges, &depth);
+    snap(&mut clipped, half_edges, &mut depth);
+    let triangles = cut(&mut clipped, half_edges, &depth);
     clipped.triangles = triangles;
     let (clipped, mut source) = clipped.submesh(|_| true);
     source.iter_mut().filter(|v| **v as usize >= mesh.vertex_count()).for_each(|v| *v = NONE);
-    Ok((clipped, source))
+    (clipped, source)
 }
 
 /// Smoothed number of edges down from the border, less the level of the curve: what is negative goes.
@@ -163,6 +158,10 @@ mod tests {
         mesh.submesh(|t| mesh.triangles[t].iter().all(|&v| inside(v))).0
     }
 
+    fn clipped(mesh: &TriMesh) -> (TriMesh, Vec<u32>) {
+        clip_border(mesh, &HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap())
+    }
+
     /// Sum of the turns of the border; a full turn when it is convex, far more on a staircase.
     fn turning(mesh: &TriMesh) -> f32 {
         let half_edges = HalfEdges::build(mesh.vertex_count(), &mesh.triangles).unwrap();
@@ -175,7 +174,7 @@ mod tests {
     #[test]
     fn the_border_becomes_smooth_and_little_is_lost() {
         let mesh = staircase();
-        let (clipped, source) = clip_border(&mesh).unwrap();
+        let (clipped, source) = clipped(&mesh);
         clipped.validate().unwrap();
         assert!(HalfEdges::build(clipped.vertex_count(), &clipped.triangles).unwrap().is_disk());
         assert!(turning(&clipped) < 0.35 * turning(&mesh), "{} of {}", turning(&clipped), turning(&mesh));
@@ -193,7 +192,7 @@ mod tests {
     #[test]
     fn inner_vertices_stay() {
         let mesh = staircase();
-        let (clipped, source) = clip_border(&mesh).unwrap();
+        let (clipped, source) = clipped(&mesh);
         let deep = |p: Vec3| p.truncate().distance(Vec2::splat(30.0)) < 20.0;
         let count = clipped.positions_mm.iter().zip(&source).filter(|(p, _)| deep(**p));
         assert!(count.clone().all(|(p, v)| mesh.positions_mm[*v as usize] == *p));

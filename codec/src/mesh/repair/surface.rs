@@ -3,10 +3,10 @@
 //! Taking a triangle away unlinks its neighbours; nothing is paired twice.
 
 use super::{RepairOptions, RepairReport};
-use crate::mesh::half_edge::{NONE, components, next, pair_edges, prev};
+use crate::mesh::half_edge::{HalfEdges, NONE, components, next, pair_edges, prev};
 use crate::mesh::{TriMesh, quality};
 use crate::{CodecError, Result};
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 
 /// The input with triangles taken away.
 pub(super) struct Surface<'a> {
@@ -16,28 +16,21 @@ pub(super) struct Surface<'a> {
     alive: Vec<bool>,
 }
 
-/// What surrounds a vertex: the other corners of its triangles, and twice the length of the edges across from it.
-#[derive(Debug, Clone, Copy, Default)]
-struct Ring {
-    corners: u32,
-    sum: Vec3,
-    doubled_length: f32,
-}
-
 impl<'a> Surface<'a> {
     /// Usable triangles, paired and oriented; edges with more than two triangles are cut out.
     pub(super) fn new(mesh: &'a TriMesh, report: &mut RepairReport) -> Result<Self> {
         check_indices(mesh)?;
-        let usable = |t: &&[u32; 3]| {
-            let finite = t.iter().all(|&v| mesh.positions_mm[v as usize].is_finite());
-            finite && t[0] != t[1] && t[1] != t[2] && t[2] != t[0]
-        };
-        let triangles: Vec<[u32; 3]> = mesh.triangles.iter().filter(usable).copied().collect();
-        report.unusable_triangles = mesh.triangles.len() - triangles.len();
-        let origin = triangles.as_flattened().to_vec();
+        let all_finite = mesh.positions_mm.iter().all(|p| p.is_finite());
+        let finite = |t: &[u32; 3]| all_finite || t.iter().all(|&v| mesh.positions_mm[v as usize].is_finite());
+        let mut origin = Vec::with_capacity(3 * mesh.triangles.len());
+        for t in mesh.triangles.iter().filter(|t| t[0] != t[1] && t[1] != t[2] && t[2] != t[0] && finite(t)) {
+            origin.extend(t);
+        }
+        let triangles = origin.len() / 3;
+        report.unusable_triangles = mesh.triangles.len() - triangles;
         let mut crowded = Vec::new();
         let twin = pair_edges(mesh.vertex_count(), &origin, |group| crowded.extend(group.iter().map(|h| h / 3)));
-        let mut surface = Self { mesh, origin, twin, alive: vec![true; triangles.len()] };
+        let mut surface = Self { mesh, origin, twin, alive: vec![true; triangles] };
         report.crowded_edge_triangles = crowded.into_iter().filter(|&t| surface.remove(t as usize)).count();
         report.flipped_triangles = surface.orient()?;
         Ok(surface)
@@ -155,9 +148,8 @@ impl<'a> Surface<'a> {
     pub(super) fn cut_spikes_and_slivers(&mut self, options: &RepairOptions, report: &mut RepairReport) {
         let (rings, slivers) = self.rings_and_slivers(options.min_inner_quality);
         let spike = |v: u32| {
-            let Ring { corners, sum, doubled_length } = rings[v as usize];
-            let away = self.mesh.positions_mm[v as usize] * corners as f32 - sum;
-            corners > 0 && away.length_squared() > (options.max_spike_ratio * doubled_length).powi(2)
+            let (away, length) = (rings[v as usize].truncate(), rings[v as usize].w);
+            away.length_squared() > (options.max_spike_ratio * 2.0 * length).powi(2)
         };
         let mut cut: Vec<bool> = (0..self.mesh.vertex_count() as u32).map(spike).collect();
         report.spike_triangles += self.remove_around(&cut);
@@ -171,20 +163,21 @@ impl<'a> Surface<'a> {
         report.sliver_triangles += self.remove_around(&cut);
     }
 
-    /// What surrounds each vertex, and the triangles of a shape quality below `min_quality`.
-    fn rings_and_slivers(&self, min_quality: f32) -> (Vec<Ring>, Vec<usize>) {
-        let mut rings = vec![Ring::default(); self.mesh.vertex_count()];
+    /// For each vertex the sum of the edges that leave it, each as often as a triangle has it, and the length of the edges
+    /// across from it; and the triangles of a shape quality below `min_quality`.
+    fn rings_and_slivers(&self, min_quality: f32) -> (Vec<Vec4>, Vec<usize>) {
+        let mut rings = vec![Vec4::ZERO; self.mesh.vertex_count()];
         let mut slivers = Vec::new();
         for t in (0..self.alive.len()).filter(|&t| self.alive[t]) {
-            let corners = self.corners(t);
-            for k in 0..3 {
-                let (b, c) = (corners[(k + 1) % 3], corners[(k + 2) % 3]);
-                let ring = &mut rings[self.origin[3 * t + k] as usize];
-                ring.corners += 2;
-                ring.sum += b + c;
-                ring.doubled_length += 2.0 * b.distance(c);
+            let [a, b, c] = self.corners(t);
+            let [ab, bc, ca] = [b - a, c - b, a - c];
+            let squares = [bc, ca, ab].map(Vec3::length_squared);
+            for (k, away) in [ab - ca, bc - ab, ca - bc].into_iter().enumerate() {
+                rings[self.origin[3 * t + k] as usize] += away.extend(squares[k].sqrt());
             }
-            if quality(corners) < min_quality {
+            // Quality below the least, without a root.
+            let least = min_quality * (squares[0] + squares[1] + squares[2]);
+            if 12.0 * ab.cross(bc).length_squared() < least * least {
                 slivers.push(t);
             }
         }
@@ -237,6 +230,11 @@ impl<'a> Surface<'a> {
 
     /// Where several fans meet in a vertex keeps the largest, the first of equals.
     fn cut_bow_ties(&mut self) -> usize {
+        let mut suspects = self.bow_ties();
+        if suspects.is_empty() {
+            return 0;
+        }
+        suspects.reverse();
         let mut start = vec![0u32; self.mesh.vertex_count() + 1];
         let alive_corners = || (0..self.origin.len()).filter(|&h| self.alive[h / 3]);
         alive_corners().for_each(|h| start[self.origin[h] as usize + 1] += 1);
@@ -250,7 +248,6 @@ impl<'a> Surface<'a> {
             *slot += 1;
         }
         let mut removed = 0;
-        let mut suspects: Vec<u32> = (0..self.mesh.vertex_count() as u32).rev().collect();
         while let Some(v) = suspects.pop() {
             let around = &corners[start[v as usize] as usize..start[v as usize + 1] as usize];
             let Some(keep) = self.largest_fan(around) else { continue };
@@ -263,6 +260,28 @@ impl<'a> Surface<'a> {
             }
         }
         removed
+    }
+
+    /// Vertices with more triangles than one walk round them meets, ascending.
+    fn bow_ties(&self) -> Vec<u32> {
+        let mut corners = vec![0u32; self.mesh.vertex_count()];
+        let mut outgoing = vec![NONE; self.mesh.vertex_count()];
+        for h in (0..self.origin.len()).filter(|&h| self.alive[h / 3]) {
+            let v = self.origin[h] as usize;
+            corners[v] += 1;
+            if outgoing[v] == NONE || self.twin[h] == NONE {
+                outgoing[v] = h as u32;
+            }
+        }
+        let walk = |first: u32| {
+            let onward = move |&h: &u32| Some(self.twin[prev(h) as usize]).filter(|&h| h != NONE && h != first);
+            std::iter::successors(Some(first), onward).count()
+        };
+        let tied = |&v: &u32| {
+            let (count, first) = (corners[v as usize], outgoing[v as usize]);
+            count > 0 && walk(first) != count as usize
+        };
+        (0..self.mesh.vertex_count() as u32).filter(tied).collect()
     }
 
     /// Half-edges of the largest fan among those that leave one vertex; `None` when there is but one fan.
@@ -297,14 +316,25 @@ impl<'a> Surface<'a> {
         })
     }
 
-    pub(super) fn into_mesh(self) -> (TriMesh, Vec<u32>) {
-        let triangles = self.origin.chunks_exact(3).zip(&self.alive).filter(|(_, alive)| **alive);
-        let kept = TriMesh {
-            positions_mm: self.mesh.positions_mm.clone(),
-            triangles: triangles.map(|(t, _)| [t[0], t[1], t[2]]).collect(),
-            uv: self.mesh.uv.clone(),
+    /// What is left, without unused vertices, its connectivity, and for each vertex its index in the input.
+    pub(super) fn into_mesh(self) -> (TriMesh, HalfEdges, Vec<u32>) {
+        let mut new_vertex = vec![NONE; self.mesh.vertex_count()];
+        for (corners, _) in self.origin.chunks_exact(3).zip(&self.alive).filter(|(_, alive)| **alive) {
+            corners.iter().for_each(|&v| new_vertex[v as usize] = 0);
+        }
+        let mut source = Vec::with_capacity(new_vertex.len());
+        for (v, new) in (0..).zip(&mut new_vertex).filter(|(_, new)| **new == 0) {
+            *new = source.len() as u32;
+            source.push(v);
+        }
+        let half_edge = |h: usize| (self.origin[h], self.twin[h]);
+        let half_edges = HalfEdges::of_kept(&self.alive, half_edge, &new_vertex, source.len());
+        let mesh = TriMesh {
+            positions_mm: source.iter().map(|&v| self.mesh.positions_mm[v as usize]).collect(),
+            triangles: half_edges.origin.as_chunks::<3>().0.to_vec(),
+            uv: self.mesh.uv.as_ref().map(|uv| source.iter().map(|&v| uv[v as usize]).collect()),
         };
-        kept.submesh(|_| true)
+        (mesh, half_edges, source)
     }
 }
 
@@ -320,6 +350,10 @@ fn check_indices(mesh: &TriMesh) -> Result<()> {
         Some(uv) if uv.len() != n => {
             Err(CodecError::Mesh(format!("{} texture coordinates for {n} vertices", uv.len())))
         }
-        _ => Ok(()),
+        Some(uv) => match uv.iter().position(|uv| !(uv[0].is_finite() && uv[1].is_finite())) {
+            Some(i) => Err(CodecError::Mesh(format!("texture coordinate {} is not finite", i + 1))),
+            None => Ok(()),
+        },
+        None => Ok(()),
     }
 }
