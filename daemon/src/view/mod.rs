@@ -3,6 +3,7 @@
 pub mod checkerboard;
 pub mod colour_map;
 pub mod compare;
+pub mod error_map;
 pub mod maps;
 pub mod plot;
 pub mod render;
