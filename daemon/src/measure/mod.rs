@@ -36,13 +36,18 @@ pub enum MeasureError {
     /// The two do not belong together.
     #[error("{0}")]
     Mismatch(String),
-    /// A baseline's decoder.
-    #[error("{0}")]
-    Baseline(String),
+    /// A coder of a sweep.
+    #[error("{coder}: {reason}")]
+    Coder {
+        /// Its name.
+        coder: &'static str,
+        /// What it said.
+        reason: String,
+    },
 }
 
 /// Totals and the curve of what was decoded.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Measurement {
     /// Errors, keyframes and in-between scans apart.
     pub comparisons: Comparisons,

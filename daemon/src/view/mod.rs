@@ -6,6 +6,7 @@ pub mod compare;
 pub mod error_map;
 pub mod maps;
 pub mod plot;
+pub mod rate_plot;
 pub mod render;
 pub mod residuals;
 mod text;
