@@ -10,11 +10,16 @@ use faer::linalg::solvers::SolveLstsq;
 use glam::Vec3;
 use gv3_codec::Scan;
 use gv3_codec::mesh::TriMesh;
+use std::collections::BTreeMap;
 
 /// A vertex farther than this from the middle of a pixel is on none, pixels.
 const MAX_OFF_PX: f32 = 0.1;
 /// x and y may be off by this after fitting, root mean square.
 const MAX_FIT_RMS_MM: f64 = 0.02;
+/// A picture's corner farther than this from the first's is none.
+const MAX_CORNER_PX: f64 = 4096.0;
+/// Unit of columns and rows in the fit.
+const SCALE_PX: f64 = 512.0;
 /// Vertices fitted: one in this many.
 const FIT_EVERY: usize = 11;
 /// What the decoder must be told besides pictures: twelve numbers, and the largest step.
@@ -31,31 +36,60 @@ pub(super) struct DepthGrid {
     max_step_mm: f32,
     /// Whether triangles run clockwise in the picture.
     is_clockwise: bool,
+    /// By tick: column and row of the upper left corner of the scan's own picture, which may be a part of the camera's.
+    corners: BTreeMap<u64, [i32; 2]>,
 }
 
 impl DepthGrid {
     /// Fits the grid to scans, or says why they are no depth pictures.
     pub(super) fn fit(input: &SweepInput) -> Result<Self, String> {
-        let size = |scan: &Scan| scan.texture.as_ref().map(|t| (t.width_px as usize, t.height_px as usize));
-        let (width, height) = size(&input.scans[0]).ok_or("the scans have no pictures, so no pixels are known")?;
-        let mut grid = Self { width, height, weights: [[0.0; 6]; 2], max_step_mm: 0.0, is_clockwise: false };
+        let mut grid = Self {
+            width: 0,
+            height: 0,
+            weights: [[0.0; 6]; 2],
+            max_step_mm: 0.0,
+            is_clockwise: false,
+            corners: BTreeMap::new(),
+        };
         let (mut rows, mut facing) = (Vec::new(), 0.0);
+        let (mut low, mut high) = ([i32::MAX; 2], [i32::MIN; 2]);
         for scan in &input.scans {
-            if size(scan) != Some((width, height)) {
-                return Err(format!("the picture of tick {} has another size than the first", scan.tick));
+            let own = own_pixels(scan)?;
+            let fitted = || own.iter().zip(&scan.mesh.positions_mm).step_by(FIT_EVERY);
+            if rows.is_empty() {
+                // The first scan says where the camera is, the others where in its picture they lie.
+                rows.extend(fitted().map(|(&at, &p)| (terms(at, p.z), p)));
+                grid.solve(&rows)?;
             }
-            let pixels = grid.pixels(scan)?;
-            let fitted = pixels.iter().zip(&scan.mesh.positions_mm).step_by(FIT_EVERY);
-            rows.extend(fitted.map(|(&at, &p)| (grid.terms(at, p.z), p)));
+            let corner = grid.corner(fitted()).map_err(|off| format!("tick {}: {off}", scan.tick))?;
+            grid.corners.insert(scan.tick, corner);
+            let pixels: Vec<[i32; 2]> = own.iter().map(|at| [at[0] + corner[0], at[1] + corner[1]]).collect();
+            for k in 0..2 {
+                low[k] = pixels.iter().fold(low[k], |low, at| low.min(at[k]));
+                high[k] = pixels.iter().fold(high[k], |high, at| high.max(at[k]));
+            }
             for (t, corners) in scan.mesh.triangles.iter().enumerate() {
                 let [a, b, c] = scan.mesh.corners(t).map(|p| p.z);
                 grid.max_step_mm = grid.max_step_mm.max(a.max(b).max(c) - a.min(b).min(c));
-                facing += turn(corners.map(|v| pixels[v as usize]), width);
+                facing += turn(corners.map(|v| pixels[v as usize]));
             }
         }
+        grid.corners.values_mut().for_each(|corner| *corner = [corner[0] - low[0], corner[1] - low[1]]);
+        [grid.width, grid.height] = [0, 1].map(|k| (high[k] - low[k] + 1).max(1) as usize);
         grid.is_clockwise = facing > 0.0;
-        grid.solve(&rows)?;
+        grid.refit(input)?;
         Ok(grid)
+    }
+
+    /// Fits the camera again, to all scans and in columns and rows of the common picture.
+    fn refit(&mut self, input: &SweepInput) -> Result<(), String> {
+        let mut rows = Vec::new();
+        for scan in &input.scans {
+            let pixels = self.pixels(scan)?;
+            let fitted = pixels.iter().zip(&scan.mesh.positions_mm).step_by(FIT_EVERY);
+            rows.extend(fitted.map(|(&at, &p)| (self.terms_at(at, p.z), p)));
+        }
+        self.solve(&rows)
     }
 
     fn solve(&mut self, rows: &[([f64; 6], Vec3)]) -> Result<(), String> {
@@ -64,7 +98,7 @@ impl DepthGrid {
         let solution = terms.col_piv_qr().solve_lstsq(&places);
         self.weights = [0, 1].map(|j| std::array::from_fn(|i| solution[(i, j)]));
         let off2 = |(terms, p): &([f64; 6], Vec3)| {
-            let [x, y] = self.weights.map(|w| w.iter().zip(terms).map(|(w, t)| w * t).sum::<f64>());
+            let [x, y] = self.place(terms);
             (x - f64::from(p.x)).powi(2) + (y - f64::from(p.y)).powi(2)
         };
         let rms_mm = (rows.iter().map(off2).sum::<f64>() / rows.len().max(1) as f64).sqrt();
@@ -76,26 +110,55 @@ impl DepthGrid {
         Ok(())
     }
 
-    /// Scaled to the picture's size, so that the columns of the fit are alike.
-    fn terms(&self, at: usize, z: f32) -> [f64; 6] {
-        let (u, v) = ((at % self.width) as f64 / self.width as f64, (at / self.width) as f64 / self.height as f64);
-        let z = f64::from(z) * 1e-2;
-        [1.0, u, v, z, z * u, z * v]
+    /// x and y of a vertex, mm.
+    fn place(&self, terms: &[f64; 6]) -> [f64; 2] {
+        self.weights.map(|w| w.iter().zip(terms).map(|(w, t)| w * t).sum())
     }
 
-    /// Pixel of every vertex.
+    /// Where in the camera's picture a scan's own picture begins, whole pixels: least squares on what x and y differ by.
+    fn corner<'a>(&self, vertices: impl Iterator<Item = (&'a [i32; 2], &'a Vec3)>) -> Result<[i32; 2], String> {
+        let (mut normal, mut right) = ([[0.0; 2]; 2], [0.0; 2]);
+        for (&at, p) in vertices {
+            let terms = terms(at, p.z);
+            let place = self.place(&terms);
+            for (k, w) in self.weights.iter().enumerate() {
+                let off = f64::from(p[k]) - place[k];
+                let slope = [(w[1] + w[4] * terms[3]) / SCALE_PX, (w[2] + w[5] * terms[3]) / SCALE_PX];
+                for i in 0..2 {
+                    right[i] += slope[i] * off;
+                    (0..2).for_each(|j| normal[i][j] += slope[i] * slope[j]);
+                }
+            }
+        }
+        let [[a, b], [c, d]] = normal;
+        let determinant = a * d - b * c;
+        let shift = [(d * right[0] - b * right[1]) / determinant, (a * right[1] - c * right[0]) / determinant];
+        let whole = shift.map(|s: f64| s.round() as i32);
+        if shift.iter().all(|s| (s - s.round()).abs() <= f64::from(MAX_OFF_PX) && s.abs() < MAX_CORNER_PX) {
+            Ok(whole)
+        } else {
+            Err(format!(
+                "its picture lies {:.2}, {:.2} pixels from that of the first, which is no whole number",
+                shift[0], shift[1]
+            ))
+        }
+    }
+
+    /// Terms at an index into the common picture.
+    fn terms_at(&self, at: usize, z: f32) -> [f64; 6] {
+        terms([(at % self.width) as i32, (at / self.width) as i32], z)
+    }
+
+    /// Index into the common picture of every vertex.
     fn pixels(&self, scan: &Scan) -> Result<Vec<usize>, String> {
-        let (picture, uv) =
-            scan.texture.as_ref().zip(scan.mesh.uv.as_ref()).ok_or("a scan has no texture coordinates")?;
-        let pixel = |&uv: &[f32; 2]| {
-            let [x, y] = picture.uv_to_px(uv);
-            let is_on = (x - x.round()).abs().max((y - y.round()).abs()) <= MAX_OFF_PX;
-            let (column, row) = (x.round(), y.round());
-            let inside = column >= 0.0 && row >= 0.0 && (column as usize) < self.width && (row as usize) < self.height;
-            (is_on && inside).then(|| row as usize * self.width + column as usize)
+        let corner = self.corners.get(&scan.tick).ok_or_else(|| format!("tick {} is of another session", scan.tick))?;
+        let index = |at: [i32; 2]| {
+            let [column, row] = [at[0] + corner[0], at[1] + corner[1]].map(|k| usize::try_from(k).ok());
+            let (column, row) = (column.filter(|&k| k < self.width)?, row.filter(|&k| k < self.height)?);
+            Some(row * self.width + column)
         };
-        let pixels: Option<Vec<usize>> = uv.iter().map(pixel).collect();
-        pixels.ok_or_else(|| format!("vertices of tick {} are not on the pixels of the picture", scan.tick))
+        let pixels: Option<Vec<usize>> = own_pixels(scan)?.into_iter().map(index).collect();
+        pixels.ok_or_else(|| format!("vertices of tick {} lie outside the picture", scan.tick))
     }
 
     /// Depth of every pixel, NaN where there is no vertex.
@@ -113,14 +176,13 @@ impl DepthGrid {
         let mut vertex = vec![u32::MAX; depths_mm.len()];
         for (at, &z) in depths_mm.iter().enumerate().filter(|(_, z)| z.is_finite()) {
             vertex[at] = mesh.positions_mm.len() as u32;
-            let terms = self.terms(at, z);
-            let [x, y] = self.weights.map(|w| w.iter().zip(terms).map(|(w, t)| w * t).sum::<f64>());
+            let [x, y] = self.place(&self.terms_at(at, z));
             mesh.positions_mm.push(Vec3::new(x as f32, y as f32, z));
         }
         let joined = |corners: &[usize; 3]| {
-            let [a, b, c] = corners.map(|at| depths_mm[at]);
-            // NaN, where there is no vertex, is not within the step.
-            a + b + c == a + b + c && a.max(b).max(c) - a.min(b).min(c) <= self.max_step_mm
+            let depths = corners.map(|at| depths_mm[at]);
+            let [a, b, c] = depths;
+            depths.iter().all(|z| z.is_finite()) && a.max(b).max(c) - a.min(b).min(c) <= self.max_step_mm
         };
         for row in 0..self.height.saturating_sub(1) {
             for column in 0..self.width - 1 {
@@ -139,10 +201,28 @@ impl DepthGrid {
     }
 }
 
+/// Scaled so that the columns of the fit are alike.
+fn terms([column, row]: [i32; 2], z: f32) -> [f64; 6] {
+    let (u, v, z) = (f64::from(column) / SCALE_PX, f64::from(row) / SCALE_PX, f64::from(z) * 1e-2);
+    [1.0, u, v, z, z * u, z * v]
+}
+
+/// Column and row of every vertex in the scan's own picture.
+fn own_pixels(scan: &Scan) -> Result<Vec<[i32; 2]>, String> {
+    let picture = scan.texture.as_ref().ok_or("the scans have no pictures, so no pixels are known")?;
+    let uv = scan.mesh.uv.as_ref().ok_or("the scans have no texture coordinates, so no pixels are known")?;
+    let pixel = |&uv: &[f32; 2]| {
+        let [x, y] = picture.uv_to_px(uv);
+        let off = (x - x.round()).abs().max((y - y.round()).abs());
+        (off <= MAX_OFF_PX).then_some([x.round() as i32, y.round() as i32])
+    };
+    let pixels: Option<Vec<[i32; 2]>> = uv.iter().map(pixel).collect();
+    pixels.ok_or_else(|| format!("vertices of tick {} are not on the pixels of the picture", scan.tick))
+}
+
 /// Twice the signed area of a triangle of pixels; positive when it runs clockwise on the picture, whose y points down.
-fn turn(corners: [usize; 3], width: usize) -> f64 {
-    let [a, b, c] = corners.map(|at| ((at % width) as f64, (at / width) as f64));
-    (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0)
+fn turn([a, b, c]: [[i32; 2]; 3]) -> f64 {
+    f64::from(b[0] - a[0]) * f64::from(c[1] - a[1]) - f64::from(b[1] - a[1]) * f64::from(c[0] - a[0])
 }
 
 /// Fills pixels without value smoothly from those with (push-pull: S. J. Gortler et al., "The lumigraph", 1996), so that a
@@ -177,42 +257,10 @@ pub(super) fn push_pull(values: &mut [f32], width: usize, height: usize) {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
+    use crate::sweep::test_scans::rising;
     use gv3_codec::GreyPicture;
-
-    /// A smooth hill on a disk of n by n pixels of 0.5 mm, with texture coordinates on the pixels' middles, moved up by
-    /// `lift_mm`.
-    pub fn hill(n: usize, lift_mm: f32) -> Scan {
-        let picture = GreyPicture::filled(n as u32, n as u32, 100);
-        let grid = DepthGrid {
-            width: n,
-            height: n,
-            weights: [[0.0, 0.5 * n as f64, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, -0.5 * n as f64, 0.0, 0.0, 0.0]],
-            max_step_mm: 9.0,
-            is_clockwise: false,
-        };
-        let middle = n as f32 / 2.0;
-        let depth = |at: usize| {
-            let (x, y) = ((at % n) as f32 - middle, (at / n) as f32 - middle);
-            let r2 = (x * x + y * y) / (middle * middle);
-            if r2 < 0.9 { 10.0 * (-2.0 * r2).exp() + 0.5 * (x * 0.3).sin() + lift_mm } else { f32::NAN }
-        };
-        let depths: Vec<f32> = (0..n * n).map(depth).collect();
-        let uv = (0..n * n)
-            .filter(|&at| depths[at].is_finite())
-            .map(|at| picture.px_to_uv([(at % n) as f32, (at / n) as f32]))
-            .collect();
-        let mesh = TriMesh { uv: Some(uv), ..grid.mesh(&depths) };
-        Scan { mesh, texture: Some(picture), ..Scan::default() }
-    }
-
-    /// Hills that rise, as a sweep's input.
-    pub fn rising(n: usize, scans: usize) -> SweepInput {
-        let scan = |i: usize| Scan { tick: i as u64, time_nanos: 10 * i as u64, ..hill(n, 0.2 * i as f32) };
-        let scans: Vec<Scan> = (0..scans).map(scan).collect();
-        SweepInput { scans, period_nanos: 10, obj_bmp_bytes: 1, binary_bytes: 1 }
-    }
 
     #[test]
     fn surfaces_become_pictures_and_come_back() {
@@ -237,6 +285,26 @@ pub(super) mod tests {
         let back = grid.mesh(&grid.depths_mm(&input.scans[1]).unwrap());
         let off = back.positions_mm.iter().zip(&input.scans[1].mesh.positions_mm).map(|(a, b)| a.distance(*b));
         assert!(off.fold(0.0, f32::max) < 1e-3);
+    }
+
+    #[test]
+    fn pictures_cut_from_the_cameras_are_laid_over_each_other() {
+        let mut input = rising(40, 3);
+        let picture = GreyPicture::filled(50, 60, 0);
+        let scan = &mut input.scans[1];
+        let cut = |t: &[f32; 2]| {
+            let [x, y] = GreyPicture::filled(40, 40, 0).uv_to_px(*t);
+            picture.px_to_uv([x + 3.0, y + 17.0])
+        };
+        scan.mesh.uv = scan.mesh.uv.as_ref().map(|uv| uv.iter().map(cut).collect());
+        scan.texture = Some(picture.clone());
+        let grid = DepthGrid::fit(&input).unwrap();
+        // The disk spans 38 pixels; the cut one begins 3 left and 17 above of the others.
+        assert!((37..=39).contains(&grid.width) && (37..=39).contains(&grid.height), "{} {}", grid.width, grid.height);
+        let depths = [0, 1, 2].map(|i| grid.depths_mm(&input.scans[i]).unwrap());
+        for (a, b) in depths[0].iter().zip(&depths[1]) {
+            assert!((a + 0.2 - b).abs() < 1e-4 || a.is_nan() && b.is_nan());
+        }
     }
 
     #[test]

@@ -83,8 +83,8 @@ fn decode_levels(bytes: &[u8], folder: &Path, pixels: usize) -> Result<Vec<u16>,
 
 #[cfg(test)]
 mod tests {
-    use super::super::depth::tests::rising;
     use super::*;
+    use crate::sweep::test_scans::rising;
     use gv3_codec::metrics::compare;
 
     #[test]

@@ -90,8 +90,8 @@ impl Decoded for Played {
 
 #[cfg(test)]
 mod tests {
-    use super::super::depth::tests::rising;
     use super::*;
+    use crate::sweep::test_scans::rising;
     use gv3_codec::metrics::compare;
 
     #[test]

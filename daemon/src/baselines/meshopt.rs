@@ -65,8 +65,8 @@ fn decode(bytes: &[u8]) -> Result<TriMesh, String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::depth::tests::hill;
     use super::*;
+    use crate::sweep::test_scans::hill;
     use gv3_codec::Scan;
     use gv3_codec::metrics::compare;
 

@@ -195,7 +195,124 @@ impl Measurement {
     }
 }
 
-/// Nothing to look at besides the figures.
-pub fn nothing(_: &Scan, _: &Scan, _: &[f32]) -> Result<(), MeasureError> {
-    Ok(())
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use gv3_codec::mesh::TriMesh;
+
+    /// A grid of n by n quads over the square of 20 mm at a height.
+    fn plane(n: u32, height_mm: f32) -> TriMesh {
+        let at = |k: u32| 20.0 / n as f32 * k as f32;
+        let quads = (0..n).flat_map(|j| (0..n).map(move |i| j * (n + 1) + i));
+        TriMesh {
+            positions_mm: (0..=n).flat_map(|j| (0..=n).map(move |i| Vec3::new(at(i), at(j), height_mm))).collect(),
+            triangles: quads.flat_map(|a| [[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]).collect(),
+            uv: None,
+        }
+    }
+
+    /// Planes at the heights of their ticks, as reference and, at other heights and coarser, as decoded.
+    struct Planes {
+        stamps: Vec<ReplayStamp>,
+        quads: u32,
+        height_mm: fn(u64) -> f32,
+    }
+
+    fn planes(ticks: std::ops::Range<u64>, quads: u32, height_mm: fn(u64) -> f32) -> Planes {
+        let stamp = |tick| ReplayStamp { tick, time_nanos: 1000 * tick, is_key: tick % 5 == 0 };
+        Planes { stamps: ticks.map(stamp).collect(), quads, height_mm }
+    }
+
+    impl Decoded for Planes {
+        fn stamps(&self) -> &[ReplayStamp] {
+            &self.stamps
+        }
+        fn period_nanos(&self) -> u64 {
+            1000
+        }
+        fn scan(&mut self, stamp: &ReplayStamp) -> Result<Scan, MeasureError> {
+            let mesh = plane(self.quads, (self.height_mm)(stamp.tick));
+            Ok(Scan { tick: stamp.tick, time_nanos: stamp.time_nanos, mesh, texture: None })
+        }
+    }
+
+    impl Reference for Planes {
+        fn count(&self) -> usize {
+            self.stamps.len()
+        }
+        fn tick(&self, i: usize) -> u64 {
+            self.stamps[i].tick
+        }
+        fn load(&mut self, i: usize, _: u64) -> Result<(Scan, Option<u64>), FileError> {
+            let mesh = plane(self.quads, (self.height_mm)(self.stamps[i].tick));
+            Ok((Scan { tick: self.stamps[i].tick, mesh, ..Scan::default() }, Some(100)))
+        }
+    }
+
+    #[test]
+    fn every_shared_scan_is_measured_in_order_and_keyframes_apart() {
+        let (mut decoded, mut reference) = (planes(2..13, 3, |t| 0.125 * (t % 5) as f32), planes(0..11, 8, |_| 0.0));
+        let mut steps = 0;
+        let seen = |scan: &Scan, replayed: &Scan, error_mm: &[f32]| {
+            assert_eq!((scan.tick, error_mm.len()), (replayed.tick, 81));
+            Ok(scan.tick)
+        };
+        let (m, ticks) = measure(&mut decoded, &mut reference, seen, || steps += 1).unwrap();
+        assert_eq!(ticks, (2..11).collect::<Vec<u64>>());
+        assert_eq!((steps, m.obj_bmp_bytes, m.binary_bytes), (9, 900, 9 * 12 * (81 + 128)));
+        for figures in &m.curve {
+            let expected_mm = 0.125 * (figures.tick % 5) as f64;
+            assert_eq!((figures.scan_to_replay_rms_mm, figures.max_mm), (expected_mm, expected_mm));
+            assert_eq!(figures.is_key, figures.tick % 5 == 0);
+        }
+        let report = DistortionReport::from(&m.comparisons);
+        assert_eq!((report.scans, report.keyframes), (9, 2));
+        assert_eq!((report.surface_mm.scan_to_replay.keyframes.max, report.max_mm()), (0.0, 0.5));
+        assert_eq!(report.coverage.missing, 0.0);
+        let typical = m.typical().unwrap();
+        assert!(!typical.is_key && typical.scan_to_replay_rms_mm == 0.375, "{typical:?}");
+    }
+
+    #[test]
+    fn what_shares_no_scan_or_fails_to_inspect_is_an_error() {
+        let mut reference = planes(20..22, 3, |_| 0.0);
+        let none = measure(&mut planes(0..3, 3, |_| 0.0), &mut reference, |_, _, _| Ok(()), || ());
+        assert!(none.unwrap_err().to_string().contains("no tick"));
+        let refuse = |_: &Scan, _: &Scan, _: &[f32]| Err::<(), _>(MeasureError::Mismatch("seen".into()));
+        let refused = measure(&mut planes(20..22, 3, |_| 0.0), &mut reference, refuse, || ());
+        assert_eq!(refused.unwrap_err().to_string(), "seen");
+    }
+
+    #[test]
+    fn truth_is_found_by_the_numbers_of_the_files() {
+        let (scans, clean) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let write = |folder: &tempfile::TempDir, number: u64, mesh: &TriMesh| {
+            let path = folder.path().join(format!("frame_{number:04}.obj"));
+            std::fs::write(path, crate::files::obj::obj_bytes(mesh, None)).unwrap();
+        };
+        for number in 7..10 {
+            write(&scans, number, &plane(6, 0.5));
+            write(&clean, number + 1, &plane(9, 0.0));
+        }
+        let input = crate::files::ScanFolder::open(scans.path()).unwrap();
+        let truth = TruthScans::open(clean.path(), &input).unwrap();
+        let inspect = |scan: &Scan, replayed: &Scan, _: &[f32]| truth.compare(scan, replayed);
+        let (_, compared) = measure(&mut planes(0..3, 4, |_| 0.25), &mut input.clone(), inspect, || ()).unwrap();
+        let report = TruthScans::total(compared);
+        assert_eq!((report.scans, report.replay_closer), (2, 1.0));
+        assert_eq!((report.scan_to_truth_mm.rms, report.replay_to_truth_mm.rms), (0.5, 0.25));
+        // Ticks 1 and 2 have a truth; the plane that stands still has not drifted.
+        let drift = measure_drift(&mut planes(0..4, 4, |_| 0.25), &truth, || ()).unwrap();
+        assert_eq!((drift.scans, drift.shots, drift.folded_faces), (2, 1, 0.0));
+        assert_eq!(drift.all.points, 100);
+        assert!([drift.all.median_mm, drift.all.max_mm].iter().all(|mm| (mm - 0.25).abs() < 1e-5), "{drift:?}");
+        write(&clean, 9, &plane(5, 0.0));
+        let error = measure_drift(&mut planes(0..4, 4, |_| 0.25), &truth, || ()).unwrap_err();
+        assert!(error.to_string().contains("tick 2"), "{error}");
+        let elsewhere = tempfile::tempdir().unwrap();
+        write(&elsewhere, 100, &plane(2, 0.0));
+        write(&elsewhere, 101, &plane(2, 0.0));
+        assert!(TruthScans::open(elsewhere.path(), &input).is_err());
+    }
 }

@@ -5,6 +5,8 @@ mod html;
 mod input;
 mod report;
 mod seed;
+#[cfg(test)]
+pub(crate) mod test_scans;
 
 pub use html::{Page, html};
 pub use input::SweepInput;

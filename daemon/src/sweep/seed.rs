@@ -93,3 +93,27 @@ impl Decoded for OwnSession {
         SessionOutput::new(&mut self.replay, Some(Output::Mesh))?.scan(stamp)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_scans::rising;
+    use super::*;
+    use crate::measure::measure;
+
+    #[test]
+    fn closer_keyframes_and_finer_steps_take_more() {
+        let input = rising(40, 7);
+        let coder = SeedCoder::new(&[3, 6], &[0.01, 0.1]);
+        assert_eq!(coder.settings(), ["every 3, 0.01 mm", "every 3, 0.1 mm", "every 6, 0.01 mm", "every 6, 0.1 mm"]);
+        let mut bytes = Vec::new();
+        for setting in 0..4 {
+            let mut coded = coder.code(setting, &input).unwrap();
+            let seen = |_: &Scan, _: &Scan, _: &[f32]| Ok(());
+            let (measurement, _) = measure(coded.decoded.as_mut(), &mut input.reference(), seen, || ()).unwrap();
+            assert_eq!(measurement.comparisons.all.scans, 7);
+            assert!(measurement.comparisons.all.replay_to_scan.summary().rms < 0.5);
+            bytes.push(coded.bytes);
+        }
+        assert!(bytes[0] > bytes[1] && bytes[0] > bytes[2] && bytes[2] > bytes[3], "{bytes:?}");
+    }
+}
