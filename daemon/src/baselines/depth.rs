@@ -170,8 +170,8 @@ impl DepthGrid {
         Ok(depths)
     }
 
-    /// The surface of a depth picture.
-    pub(super) fn mesh(&self, depths_mm: &[f32]) -> TriMesh {
+    /// The surface of a depth picture whose depths were rounded to a step.
+    pub(super) fn mesh(&self, depths_mm: &[f32], rounding_mm: f32) -> TriMesh {
         let mut mesh = TriMesh::default();
         let mut vertex = vec![u32::MAX; depths_mm.len()];
         for (at, &z) in depths_mm.iter().enumerate().filter(|(_, z)| z.is_finite()) {
@@ -182,7 +182,7 @@ impl DepthGrid {
         let joined = |corners: &[usize; 3]| {
             let depths = corners.map(|at| depths_mm[at]);
             let [a, b, c] = depths;
-            depths.iter().all(|z| z.is_finite()) && a.max(b).max(c) - a.min(b).min(c) <= self.max_step_mm
+            depths.iter().all(|z| z.is_finite()) && a.max(b).max(c) - a.min(b).min(c) <= self.max_step_mm + rounding_mm
         };
         for row in 0..self.height.saturating_sub(1) {
             for column in 0..self.width - 1 {
@@ -267,7 +267,7 @@ mod tests {
         let input = rising(40, 3);
         let grid = DepthGrid::fit(&input).unwrap();
         for scan in &input.scans {
-            let back = grid.mesh(&grid.depths_mm(scan).unwrap());
+            let back = grid.mesh(&grid.depths_mm(scan).unwrap(), 0.0);
             assert_eq!(back.triangles, scan.mesh.triangles);
             let off = back.positions_mm.iter().zip(&scan.mesh.positions_mm).map(|(a, b)| a.distance(*b));
             assert!(off.fold(0.0, f32::max) < 1e-4);
@@ -282,7 +282,7 @@ mod tests {
             (p.x, p.y) = ((p.x - 7.0) * p.z / 300.0, (p.y + 9.0) * p.z / 300.0);
         }
         let grid = DepthGrid::fit(&input).unwrap();
-        let back = grid.mesh(&grid.depths_mm(&input.scans[1]).unwrap());
+        let back = grid.mesh(&grid.depths_mm(&input.scans[1]).unwrap(), 0.0);
         let off = back.positions_mm.iter().zip(&input.scans[1].mesh.positions_mm).map(|(a, b)| a.distance(*b));
         assert!(off.fold(0.0, f32::max) < 1e-3);
     }

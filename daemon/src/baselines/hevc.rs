@@ -178,7 +178,7 @@ impl Decoded for Video {
             if inside { self.levels.low_mm + level * self.levels.step_mm } else { f32::NAN }
         };
         let depths: Vec<f32> = masks[at].iter().enumerate().map(depth).collect();
-        scan_of(self.grid.mesh(&depths), stamp, coder)
+        scan_of(self.grid.mesh(&depths, self.levels.step_mm), stamp, coder)
     }
 }
 
