@@ -4,7 +4,9 @@ use super::Outcome;
 use super::encode::fps;
 use super::progress::{bar, human_bytes};
 use crate::files::{ScanFolder, write_whole};
-use crate::sweep::{Coder, Curve, Page, Point, SeedCoder, SweepInput, SweepReport, bd_rates, csv, html, run_point};
+use crate::sweep::{
+    Coder, Curve, ErrorMapFile, Page, Point, SeedCoder, SweepInput, SweepReport, bd_rates, csv, html, run_point,
+};
 use crate::view::compare::png_bytes;
 use crate::view::plot::Series;
 use crate::view::rate_plot::rate_plot;
@@ -108,7 +110,7 @@ impl Sweep {
 }
 
 /// All points of a coder; one that fails ends the curve and is said.
-fn run_curve(coder: &dyn Coder, input: &SweepInput, maps: &mut Vec<(String, String, Vec<u8>)>) -> Curve {
+fn run_curve(coder: &dyn Coder, input: &SweepInput, maps: &mut Vec<ErrorMapFile>) -> Curve {
     let mut curve = Curve {
         coder: coder.name().into(),
         about: coder.about(),
@@ -136,7 +138,7 @@ fn run_curve(coder: &dyn Coder, input: &SweepInput, maps: &mut Vec<(String, Stri
     curve
 }
 
-fn write_report(out: &Path, report: &SweepReport, maps: &[(String, String, Vec<u8>)]) -> Result<()> {
+fn write_report(out: &Path, report: &SweepReport, maps: &[ErrorMapFile]) -> Result<()> {
     let mut plots = Vec::new();
     let quantities: [(&str, &str, fn(&Point) -> f64); 3] = [
         ("rms", "rms of the worse direction, mm", |p| p.rms_mm),
@@ -167,8 +169,18 @@ fn write_report(out: &Path, report: &SweepReport, maps: &[(String, String, Vec<u
     }
     write_whole(&out.join(CSV), csv(report).as_bytes())?;
     write_whole(&out.join(JSON), serde_json::to_string_pretty(report)?.as_bytes())?;
-    write_whole(&out.join(PAGE), html(&Page { report, plots: &plots, maps }).as_bytes())?;
+    let shown = typical_maps(report, maps);
+    write_whole(&out.join(PAGE), html(&Page { report, plots: &plots, maps: &shown }).as_bytes())?;
     Ok(())
+}
+
+/// The map of each coder's middle setting: all of them would make the page large.
+fn typical_maps(report: &SweepReport, maps: &[ErrorMapFile]) -> Vec<ErrorMapFile> {
+    let is_shown = |(coder, setting, _): &&ErrorMapFile| {
+        let points = report.curves.iter().find(|c| c.coder == *coder).map_or(&[][..], |c| &c.points);
+        points.get(points.len() / 2).is_some_and(|p| p.setting == *setting)
+    };
+    maps.iter().filter(is_shown).cloned().collect()
 }
 
 fn describe(report: &SweepReport, out: &Path) -> String {

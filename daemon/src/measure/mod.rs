@@ -158,7 +158,9 @@ impl Measurement {
         let statistics = replay.reader().metadata().statistics();
         let fringe = statistics.and_then(|s| s.number(key::RAW_FRINGE_BYTES));
         let raw_bytes = ByRawForm { obj_bmp: self.obj_bmp_bytes, binary: self.binary_bytes, fringe };
-        let percent = |raw: u64| 100.0 * totals.session as f64 / raw.max(1) as f64;
+        // Where only some of the session's scans were measured, they get their part of its bytes.
+        let part = self.comparisons.all.scans as f64 / replay.stamps().len().max(1) as f64;
+        let percent = |raw: u64| 100.0 * part * totals.session as f64 / raw.max(1) as f64;
         MeasureReport {
             output,
             distortion: (&self.comparisons).into(),
@@ -172,7 +174,7 @@ impl Measurement {
             percent_of_raw: ByRawForm {
                 obj_bmp: percent(raw_bytes.obj_bmp),
                 binary: percent(raw_bytes.binary),
-                fringe: fringe.map(percent),
+                fringe: fringe.map(|raw| 100.0 * totals.session as f64 / raw.max(1) as f64),
             },
             encode_ms_per_scan: statistics.and_then(|s| s.number(key::ENCODE_MS_PER_SCAN)),
             decode_ms_per_scan: self.decode_ms_per_scan(),

@@ -157,7 +157,7 @@ pub struct MeasureReport {
     pub bytes: SessionBytes,
     /// Size of the input.
     pub raw_bytes: ByRawForm<u64>,
-    /// Size of the session in percent of the input.
+    /// Size of the session in percent of the input; of a part of the session where a part was measured.
     pub percent_of_raw: ByRawForm<f64>,
     /// Coding time a scan, as the session says.
     pub encode_ms_per_scan: Option<f64>,

@@ -9,9 +9,12 @@ pub struct Page<'a> {
     pub report: &'a SweepReport,
     /// Plots as SVG text.
     pub plots: &'a [String],
-    /// Error maps: coder, setting, PNG file.
-    pub maps: &'a [(String, String, Vec<u8>)],
+    /// Error maps.
+    pub maps: &'a [ErrorMapFile],
 }
+
+/// Where errors are: coder, setting, PNG file.
+pub type ErrorMapFile = (String, String, Vec<u8>);
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;color:#28292e;max-width:1080px;margin:2em auto;padding:0 1em}\
 table{border-collapse:collapse;margin:1em 0;font-variant-numeric:tabular-nums}td,th{padding:.25em .7em;text-align:right;\
@@ -46,7 +49,7 @@ pub fn html(page: &Page<'_>) -> String {
         let _ = writeln!(out, "<li><b>{}</b>: {}.{missing}</li>", escaped(&c.coder), escaped(&c.about));
     }
     out += "</ul>\n<h2>Where the errors are</h2>\n<p>Distance of every scan's vertices from what was decoded, gathered over \
-            all scans in a front view; each map has its own scale.</p>\n";
+            all scans in a front view; each map has its own scale. The other settings' maps are files beside this page.</p>\n";
     for (coder, setting, png) in page.maps {
         let title = format!("{} {}", escaped(coder), escaped(setting));
         let _ = writeln!(

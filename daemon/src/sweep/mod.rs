@@ -8,7 +8,7 @@ mod seed;
 #[cfg(test)]
 pub(crate) mod test_scans;
 
-pub use html::{Page, html};
+pub use html::{ErrorMapFile, Page, html};
 pub use input::SweepInput;
 pub use report::{BdRate, Curve, Point, SweepReport, bd_rates, csv};
 pub use seed::SeedCoder;

@@ -2,15 +2,17 @@
 
 use super::plot::{COLOURS, GRID, INK, MARGIN_PX, Series};
 use plotters::coord::Shift;
+use plotters::coord::combinators::WithKeyPoints;
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use std::ops::Range;
 
 const SIZE_PX: (u32, u32) = (1000, 620);
 const TITLE_PX: i32 = 56;
 /// Height and columns of the legend's rows.
 const ROW_PX: i32 = 24;
 const COLUMNS: usize = 4;
+const MAX_LABELS: usize = 30;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type DrawResult<'a> = Result<(), DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>>;
@@ -39,21 +41,23 @@ fn draw<'a>(root: &Area<'a>, series: &[Series], [title, x_label, y_label]: [&str
         .margin_right(28)
         .x_label_area_size(48)
         .y_label_area_size(76)
-        .build_cartesian_2d(span(points().map(|p| p.0)).log_scale(), span(points().map(|p| p.1)).log_scale())?;
+        .build_cartesian_2d(axis(points().map(|p| p.0)), axis(points().map(|p| p.1)))?;
     chart
         .configure_mesh()
         .bold_line_style(GRID)
-        .light_line_style(GRID.mix(0.5))
+        .light_line_style(TRANSPARENT)
         .axis_style(INK)
         .label_style(("sans-serif", 16).into_font().color(&INK))
         .axis_desc_style(("sans-serif", 18).into_font().color(&INK))
         .x_desc(x_label)
         .y_desc(y_label)
-        .x_label_formatter(&|x| plain(*x))
-        .y_label_formatter(&|y| plain(*y))
+        .x_labels(MAX_LABELS)
+        .y_labels(MAX_LABELS)
+        .x_label_formatter(&|x| plain(10f64.powf(*x)))
+        .y_label_formatter(&|y| plain(10f64.powf(*y)))
         .draw()?;
     for (one, colour) in series.iter().zip(COLOURS.iter().cycle()) {
-        let points: Vec<(f64, f64)> = one.points.iter().filter(drawable).copied().collect();
+        let points: Vec<(f64, f64)> = one.points.iter().filter(drawable).map(|p| (p.0.log10(), p.1.log10())).collect();
         chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
         chart.draw_series(points.iter().map(|&p| Circle::new(p, 4, colour.filled())))?;
     }
@@ -68,15 +72,20 @@ fn draw<'a>(root: &Area<'a>, series: &[Series], [title, x_label, y_label]: [&str
     Ok(())
 }
 
-/// From below the least to above the greatest value.
-fn span(values: impl Iterator<Item = f64>) -> Range<f64> {
+/// An axis of logarithms from below the least to above the greatest value, labelled at 1, 2 and 5 times powers of ten.
+fn axis(values: impl Iterator<Item = f64>) -> WithKeyPoints<RangedCoordf64> {
     let (low, high) = values.fold((f64::INFINITY, 0.0f64), |(low, high), v| (low.min(v), high.max(v)));
-    if high > 0.0 { low / 1.3..high * 1.3 } else { 1.0..10.0 }
+    let (low, high) = if high > 0.0 { (low / 1.2, high * 1.2) } else { (1.0, 10.0) };
+    let decades = low.log10().floor() as i32..=high.log10().floor() as i32;
+    let labels = decades.flat_map(|decade| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(decade)));
+    let labels = labels.filter(|label| (low..=high).contains(label)).map(f64::log10).collect();
+    (low.log10()..high.log10()).with_key_points(labels)
 }
 
 /// A number without exponent and without zeros at its end.
 fn plain(x: f64) -> String {
-    let decimals = (2.0 - x.abs().max(1e-6).log10().floor()).clamp(0.0, 6.0) as usize;
+    // Powers of ten come back from their logarithms a little off.
+    let decimals = (2.0 - (x * 1.000_1).max(1e-6).log10().floor()).clamp(0.0, 6.0) as usize;
     let text = format!("{x:.decimals$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
@@ -94,7 +103,7 @@ mod tests {
         let all: Vec<Series> = (0..7).map(|k| series(&format!("coder {k}"), 1.0 + f64::from(k))).collect();
         let svg = rate_plot(&all, "t", "bytes a scan", "rms, mm").unwrap();
         assert_eq!(svg.matches("<circle").count(), 7 * 3);
-        for text in ["coder 6", "bytes a scan", "rms, mm", "10000", "0.1"] {
+        for text in ["coder 6", "bytes a scan", "rms, mm", "5000", "0.1"] {
             assert!(svg.lines().any(|line| line.trim() == text), "{text} is missing");
         }
         assert!(!svg.contains("NaN") && !svg.contains("inf"));
