@@ -59,8 +59,7 @@ impl Coder for EachScan {
     }
     fn code(&self, setting: usize, input: &SweepInput) -> Result<Coded, MeasureError> {
         let encode = |scan: &Scan| (self.encode)(&scan.mesh, setting);
-        let decode = self.decode;
-        code_each(self.name, input, encode, Box::new(move |bytes| decode(bytes)))
+        code_each(self.name, input, encode, Box::new(self.decode))
     }
 }
 

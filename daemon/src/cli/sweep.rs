@@ -138,9 +138,12 @@ fn run_curve(coder: &dyn Coder, input: &SweepInput, maps: &mut Vec<ErrorMapFile>
     curve
 }
 
+/// Name of the file, label of the axis, value of a point.
+type Quantity = (&'static str, &'static str, fn(&Point) -> f64);
+
 fn write_report(out: &Path, report: &SweepReport, maps: &[ErrorMapFile]) -> Result<()> {
     let mut plots = Vec::new();
-    let quantities: [(&str, &str, fn(&Point) -> f64); 3] = [
+    let quantities: [Quantity; 3] = [
         ("rms", "rms of the worse direction, mm", |p| p.rms_mm),
         ("p99", "99th percentile of the worse direction, mm", |p| {
             let surface = &p.distortion.surface_mm;

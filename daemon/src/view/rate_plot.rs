@@ -2,17 +2,16 @@
 
 use super::plot::{COLOURS, GRID, INK, MARGIN_PX, Series};
 use plotters::coord::Shift;
-use plotters::coord::combinators::WithKeyPoints;
-use plotters::coord::types::RangedCoordf64;
+use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
+use std::ops::Range;
 
 const SIZE_PX: (u32, u32) = (1000, 620);
 const TITLE_PX: i32 = 56;
 /// Height and columns of the legend's rows.
 const ROW_PX: i32 = 24;
 const COLUMNS: usize = 4;
-const MAX_LABELS: usize = 30;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type DrawResult<'a> = Result<(), DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>>;
@@ -51,13 +50,11 @@ fn draw<'a>(root: &Area<'a>, series: &[Series], [title, x_label, y_label]: [&str
         .axis_desc_style(("sans-serif", 18).into_font().color(&INK))
         .x_desc(x_label)
         .y_desc(y_label)
-        .x_labels(MAX_LABELS)
-        .y_labels(MAX_LABELS)
-        .x_label_formatter(&|x| plain(10f64.powf(*x)))
-        .y_label_formatter(&|y| plain(10f64.powf(*y)))
+        .x_label_formatter(&|x| plain(*x))
+        .y_label_formatter(&|y| plain(*y))
         .draw()?;
     for (one, colour) in series.iter().zip(COLOURS.iter().cycle()) {
-        let points: Vec<(f64, f64)> = one.points.iter().filter(drawable).map(|p| (p.0.log10(), p.1.log10())).collect();
+        let points: Vec<(f64, f64)> = one.points.iter().filter(drawable).copied().collect();
         chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
         chart.draw_series(points.iter().map(|&p| Circle::new(p, 4, colour.filled())))?;
     }
@@ -72,19 +69,40 @@ fn draw<'a>(root: &Area<'a>, series: &[Series], [title, x_label, y_label]: [&str
     Ok(())
 }
 
-/// An axis of logarithms from below the least to above the greatest value, labelled at 1, 2 and 5 times powers of ten.
-fn axis(values: impl Iterator<Item = f64>) -> WithKeyPoints<RangedCoordf64> {
+/// A logarithmic axis, labelled at 1, 2 and 5 times powers of ten.
+struct LogAxis {
+    range: Range<f64>,
+}
+
+/// An axis from below the least to above the greatest value.
+fn axis(values: impl Iterator<Item = f64>) -> LogAxis {
     let (low, high) = values.fold((f64::INFINITY, 0.0f64), |(low, high), v| (low.min(v), high.max(v)));
-    let (low, high) = if high > 0.0 { (low / 1.2, high * 1.2) } else { (1.0, 10.0) };
-    let decades = low.log10().floor() as i32..=high.log10().floor() as i32;
-    let labels = decades.flat_map(|decade| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(decade)));
-    let labels = labels.filter(|label| (low..=high).contains(label)).map(f64::log10).collect();
-    (low.log10()..high.log10()).with_key_points(labels)
+    LogAxis { range: if high > 0.0 { low / 1.2..high * 1.2 } else { 1.0..10.0 } }
+}
+
+impl Ranged for LogAxis {
+    type FormatOption = DefaultFormatting;
+    type ValueType = f64;
+
+    fn map(&self, value: &f64, (from_px, to_px): (i32, i32)) -> i32 {
+        let share = (value / self.range.start).ln() / (self.range.end / self.range.start).ln();
+        from_px + (f64::from(to_px - from_px) * share).round() as i32
+    }
+
+    fn key_points<Hint: KeyPointHint>(&self, _: Hint) -> Vec<f64> {
+        let decades = self.range.start.log10().floor() as i32..=self.range.end.log10().floor() as i32;
+        let labels = decades.flat_map(|decade| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(decade)));
+        labels.filter(|label| self.range.contains(label)).collect()
+    }
+
+    fn range(&self) -> Range<f64> {
+        self.range.clone()
+    }
 }
 
 /// A number without exponent and without zeros at its end.
 fn plain(x: f64) -> String {
-    // Powers of ten come back from their logarithms a little off.
+    // Powers of ten may come out a little below.
     let decimals = (2.0 - (x * 1.000_1).max(1e-6).log10().floor()).clamp(0.0, 6.0) as usize;
     let text = format!("{x:.decimals$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
