@@ -36,8 +36,15 @@ pub(super) struct DepthGrid {
     max_step_mm: f32,
     /// Whether triangles run clockwise in the picture.
     is_clockwise: bool,
-    /// By tick: column and row of the upper left corner of the scan's own picture, which may be a part of the camera's.
-    corners: BTreeMap<u64, [i32; 2]>,
+    /// By tick: where the scan's own picture, which may be a part of the camera's, lies in the common one.
+    corners: BTreeMap<u64, Corner>,
+}
+
+/// Upper left corner of a scan's picture: the pixel, and what remains when the pictures are not in step, pixels.
+#[derive(Debug, Clone, Copy, Default)]
+struct Corner {
+    pixel: [i32; 2],
+    rest: [f32; 2],
 }
 
 impl DepthGrid {
@@ -58,12 +65,13 @@ impl DepthGrid {
             let fitted = || own.iter().zip(&scan.mesh.positions_mm).step_by(FIT_EVERY);
             if rows.is_empty() {
                 // The first scan says where the camera is, the others where in its picture they lie.
-                rows.extend(fitted().map(|(&at, &p)| (terms(at, p.z), p)));
+                rows.extend(fitted().map(|(&at, &p)| (terms(at, [0.0; 2], p.z), p)));
                 grid.solve(&rows)?;
             }
             let corner = grid.corner(fitted()).map_err(|off| format!("tick {}: {off}", scan.tick))?;
             grid.corners.insert(scan.tick, corner);
-            let pixels: Vec<[i32; 2]> = own.iter().map(|at| [at[0] + corner[0], at[1] + corner[1]]).collect();
+            let pixels: Vec<[i32; 2]> =
+                own.iter().map(|at| [at[0] + corner.pixel[0], at[1] + corner.pixel[1]]).collect();
             for k in 0..2 {
                 low[k] = pixels.iter().fold(low[k], |low, at| low.min(at[k]));
                 high[k] = pixels.iter().fold(high[k], |high, at| high.max(at[k]));
@@ -74,7 +82,7 @@ impl DepthGrid {
                 facing += turn(corners.map(|v| pixels[v as usize]));
             }
         }
-        grid.corners.values_mut().for_each(|corner| *corner = [corner[0] - low[0], corner[1] - low[1]]);
+        grid.corners.values_mut().for_each(|c| c.pixel = [c.pixel[0] - low[0], c.pixel[1] - low[1]]);
         [grid.width, grid.height] = [0, 1].map(|k| (high[k] - low[k] + 1).max(1) as usize);
         grid.is_clockwise = facing > 0.0;
         grid.refit(input)?;
@@ -87,7 +95,8 @@ impl DepthGrid {
         for scan in &input.scans {
             let pixels = self.pixels(scan)?;
             let fitted = pixels.iter().zip(&scan.mesh.positions_mm).step_by(FIT_EVERY);
-            rows.extend(fitted.map(|(&at, &p)| (self.terms_at(at, p.z), p)));
+            let rest = self.rest_px(scan);
+            rows.extend(fitted.map(|(&at, &p)| (self.terms_at(at, rest, p.z), p)));
         }
         self.solve(&rows)
     }
@@ -115,11 +124,11 @@ impl DepthGrid {
         self.weights.map(|w| w.iter().zip(terms).map(|(w, t)| w * t).sum())
     }
 
-    /// Where in the camera's picture a scan's own picture begins, whole pixels: least squares on what x and y differ by.
-    fn corner<'a>(&self, vertices: impl Iterator<Item = (&'a [i32; 2], &'a Vec3)>) -> Result<[i32; 2], String> {
+    /// Where in the first scan's picture another one's begins: least squares on what x and y differ by.
+    fn corner<'a>(&self, vertices: impl Iterator<Item = (&'a [i32; 2], &'a Vec3)>) -> Result<Corner, String> {
         let (mut normal, mut right) = ([[0.0; 2]; 2], [0.0; 2]);
         for (&at, p) in vertices {
-            let terms = terms(at, p.z);
+            let terms = terms(at, [0.0; 2], p.z);
             let place = self.place(&terms);
             for (k, w) in self.weights.iter().enumerate() {
                 let off = f64::from(p[k]) - place[k];
@@ -133,27 +142,28 @@ impl DepthGrid {
         let [[a, b], [c, d]] = normal;
         let determinant = a * d - b * c;
         let shift = [(d * right[0] - b * right[1]) / determinant, (a * right[1] - c * right[0]) / determinant];
-        let whole = shift.map(|s: f64| s.round() as i32);
-        if shift.iter().all(|s| (s - s.round()).abs() <= f64::from(MAX_OFF_PX) && s.abs() < MAX_CORNER_PX) {
-            Ok(whole)
-        } else {
-            Err(format!(
-                "its picture lies {:.2}, {:.2} pixels from that of the first, which is no whole number",
-                shift[0], shift[1]
-            ))
+        if !shift.iter().all(|s: &f64| s.abs() < MAX_CORNER_PX) {
+            return Err(format!("its picture lies {:.0}, {:.0} pixels from that of the first", shift[0], shift[1]));
         }
+        let pixel = shift.map(|s| s.round() as i32);
+        Ok(Corner { pixel, rest: [0, 1].map(|k| (shift[k] - shift[k].round()) as f32) })
+    }
+
+    /// By how much the pixels of a scan are out of step with the common picture, pixels; the decoder must know.
+    pub(super) fn rest_px(&self, scan: &Scan) -> [f32; 2] {
+        self.corners.get(&scan.tick).map_or([0.0; 2], |corner| corner.rest)
     }
 
     /// Terms at an index into the common picture.
-    fn terms_at(&self, at: usize, z: f32) -> [f64; 6] {
-        terms([(at % self.width) as i32, (at / self.width) as i32], z)
+    fn terms_at(&self, at: usize, rest: [f32; 2], z: f32) -> [f64; 6] {
+        terms([(at % self.width) as i32, (at / self.width) as i32], rest, z)
     }
 
     /// Index into the common picture of every vertex.
     fn pixels(&self, scan: &Scan) -> Result<Vec<usize>, String> {
         let corner = self.corners.get(&scan.tick).ok_or_else(|| format!("tick {} is of another session", scan.tick))?;
         let index = |at: [i32; 2]| {
-            let [column, row] = [at[0] + corner[0], at[1] + corner[1]].map(|k| usize::try_from(k).ok());
+            let [column, row] = [at[0] + corner.pixel[0], at[1] + corner.pixel[1]].map(|k| usize::try_from(k).ok());
             let (column, row) = (column.filter(|&k| k < self.width)?, row.filter(|&k| k < self.height)?);
             Some(row * self.width + column)
         };
@@ -170,13 +180,13 @@ impl DepthGrid {
         Ok(depths)
     }
 
-    /// The surface of a depth picture whose depths were rounded to a step.
-    pub(super) fn mesh(&self, depths_mm: &[f32], rounding_mm: f32) -> TriMesh {
+    /// The surface of a depth picture whose depths were rounded to a step and whose pixels are out of step by `rest_px`.
+    pub(super) fn mesh(&self, depths_mm: &[f32], rounding_mm: f32, rest_px: [f32; 2]) -> TriMesh {
         let mut mesh = TriMesh::default();
         let mut vertex = vec![u32::MAX; depths_mm.len()];
         for (at, &z) in depths_mm.iter().enumerate().filter(|(_, z)| z.is_finite()) {
             vertex[at] = mesh.positions_mm.len() as u32;
-            let [x, y] = self.place(&self.terms_at(at, z));
+            let [x, y] = self.place(&self.terms_at(at, rest_px, z));
             mesh.positions_mm.push(Vec3::new(x as f32, y as f32, z));
         }
         let joined = |corners: &[usize; 3]| {
@@ -202,8 +212,9 @@ impl DepthGrid {
 }
 
 /// Scaled so that the columns of the fit are alike.
-fn terms([column, row]: [i32; 2], z: f32) -> [f64; 6] {
-    let (u, v, z) = (f64::from(column) / SCALE_PX, f64::from(row) / SCALE_PX, f64::from(z) * 1e-2);
+fn terms([column, row]: [i32; 2], rest: [f32; 2], z: f32) -> [f64; 6] {
+    let [u, v] = [f64::from(column) + f64::from(rest[0]), f64::from(row) + f64::from(rest[1])].map(|k| k / SCALE_PX);
+    let z = f64::from(z) * 1e-2;
     [1.0, u, v, z, z * u, z * v]
 }
 
@@ -267,7 +278,7 @@ mod tests {
         let input = rising(40, 3);
         let grid = DepthGrid::fit(&input).unwrap();
         for scan in &input.scans {
-            let back = grid.mesh(&grid.depths_mm(scan).unwrap(), 0.0);
+            let back = grid.mesh(&grid.depths_mm(scan).unwrap(), 0.0, grid.rest_px(scan));
             assert_eq!(back.triangles, scan.mesh.triangles);
             let off = back.positions_mm.iter().zip(&scan.mesh.positions_mm).map(|(a, b)| a.distance(*b));
             assert!(off.fold(0.0, f32::max) < 1e-4);
@@ -282,7 +293,7 @@ mod tests {
             (p.x, p.y) = ((p.x - 7.0) * p.z / 300.0, (p.y + 9.0) * p.z / 300.0);
         }
         let grid = DepthGrid::fit(&input).unwrap();
-        let back = grid.mesh(&grid.depths_mm(&input.scans[1]).unwrap(), 0.0);
+        let back = grid.mesh(&grid.depths_mm(&input.scans[1]).unwrap(), 0.0, [0.0; 2]);
         let off = back.positions_mm.iter().zip(&input.scans[1].mesh.positions_mm).map(|(a, b)| a.distance(*b));
         assert!(off.fold(0.0, f32::max) < 1e-3);
     }
@@ -305,6 +316,17 @@ mod tests {
         for (a, b) in depths[0].iter().zip(&depths[1]) {
             assert!((a + 0.2 - b).abs() < 1e-4 || a.is_nan() && b.is_nan());
         }
+    }
+
+    #[test]
+    fn pictures_out_of_step_by_part_of_a_pixel_are_fitted() {
+        let mut input = rising(40, 2);
+        input.scans[1].mesh.positions_mm.iter_mut().for_each(|p| *p += Vec3::new(0.15, -0.2, 0.0));
+        let grid = DepthGrid::fit(&input).unwrap();
+        let scan = &input.scans[1];
+        let back = grid.mesh(&grid.depths_mm(scan).unwrap(), 0.0, grid.rest_px(scan));
+        let off = back.positions_mm.iter().zip(&scan.mesh.positions_mm).map(|(a, b)| a.distance(*b));
+        assert!(off.fold(0.0, f32::max) < 1e-3);
     }
 
     #[test]

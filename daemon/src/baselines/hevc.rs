@@ -61,7 +61,8 @@ impl Hevc {
         let mask_bytes = mask::encode(&masks, grid.width);
         let video_bytes = std::fs::metadata(&coded).map_err(|e| e.to_string())?.len();
         Ok(Video {
-            bytes: video_bytes + mask_bytes.len() as u64 + SIDE_BYTES + 8,
+            bytes: video_bytes + mask_bytes.len() as u64 + SIDE_BYTES + 8 + 8 * input.scans.len() as u64,
+            rests_px: input.scans.iter().map(|scan| grid.rest_px(scan)).collect(),
             coder: self.name,
             stamps: input.stamps(),
             period_nanos: input.period_nanos,
@@ -126,6 +127,8 @@ struct Video {
     levels: Levels,
     size: [usize; 2],
     mask_bytes: Vec<u8>,
+    /// Of every scan.
+    rests_px: Vec<[f32; 2]>,
     pictures: Option<Pictures>,
     folder: TempDir,
 }
@@ -178,7 +181,7 @@ impl Decoded for Video {
             if inside { self.levels.low_mm + level * self.levels.step_mm } else { f32::NAN }
         };
         let depths: Vec<f32> = masks[at].iter().enumerate().map(depth).collect();
-        scan_of(self.grid.mesh(&depths, self.levels.step_mm), stamp, coder)
+        scan_of(self.grid.mesh(&depths, self.levels.step_mm, self.rests_px[at]), stamp, coder)
     }
 }
 

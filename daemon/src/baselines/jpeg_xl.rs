@@ -46,14 +46,17 @@ impl Coder for JpegXl {
             std::fs::write(&path, pgm(&levels, of_encoder.width)).map_err(|e| e.to_string())?;
             let coded = path.with_extension("jxl");
             run(Command::new("cjxl").arg(&path).arg(&coded).args(["-d", "0", "-e", EFFORT, "--num_threads=0"]))?;
-            std::fs::read(&coded).map_err(|e| e.to_string())
+            let mut bytes = bytemuck::bytes_of(&of_encoder.rest_px(scan)).to_vec();
+            bytes.extend(std::fs::read(&coded).map_err(|e| e.to_string())?);
+            Ok(bytes)
         };
         // The decoder's folder lives as long as the decoder.
         let place = TempDir::new().map_err(|e| fail(format!("no temporary folder: {e}")))?;
         let decode = Box::new(move |bytes: &[u8]| {
+            let (rest, bytes) = bytes.split_at_checked(8).ok_or("too short")?;
             let levels = decode_levels(bytes, place.path(), grid.width * grid.height)?;
             let depth = |&q: &u16| if q == 0 { f32::NAN } else { low_mm + f32::from(q - 1) * step_mm };
-            Ok(grid.mesh(&levels.iter().map(depth).collect::<Vec<f32>>(), step_mm))
+            Ok(grid.mesh(&levels.iter().map(depth).collect::<Vec<f32>>(), step_mm, bytemuck::pod_read_unaligned(rest)))
         });
         let coded = code_each(NAME, input, encode, decode)?;
         Ok(Coded { bytes: coded.bytes + SIDE_BYTES + 8, ..coded })
