@@ -11,6 +11,8 @@
 #![deny(unsafe_code)]
 
 pub mod accuracy;
+#[cfg(feature = "baselines")]
+pub mod baselines;
 pub mod cli;
 pub mod device;
 pub mod files;
@@ -18,4 +20,5 @@ pub mod light;
 pub mod measure;
 pub mod pipeline;
 pub mod replay;
+pub mod sweep;
 pub mod view;

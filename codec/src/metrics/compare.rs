@@ -40,6 +40,7 @@ pub fn compare(scan: &Scan, replay: &Scan) -> ScanComparison {
 fn measure_scan(scan: &Scan, replay: &Scan, normals: &[Vec3], into: &mut Distortion) -> Vec<f32> {
     let textures = textured(scan).zip(textured(replay));
     let surface = Bvh::new(&replay.mesh);
+    let replayed_normals = replay.mesh.vertex_normals();
     let measure = |(v, &p): (usize, &Vec3)| {
         let Some(nearest) = surface.nearest(p, f32::INFINITY) else {
             into.missing.add(true);
@@ -49,7 +50,12 @@ fn measure_scan(scan: &Scan, replay: &Scan, normals: &[Vec3], into: &mut Distort
         into.scan_to_replay.add(f64::from(distance_mm));
         into.scan_to_replay_plane.add(along_normal2_mm2(nearest.point_mm - p, normals[v]));
         into.missing.add(distance_mm > COVERAGE_LIMIT_MM);
-        if let Some(((picture, uv), (replayed, replayed_uv))) = textures.filter(|_| distance_mm <= COVERAGE_LIMIT_MM) {
+        if distance_mm > COVERAGE_LIMIT_MM {
+            return distance_mm;
+        }
+        let normal = nearest.interpolate(&replay.mesh.triangles, bytemuck::cast_slice(&replayed_normals));
+        into.normals.add(normals[v], Vec3::from(normal).normalize_or_zero());
+        if let Some(((picture, uv), (replayed, replayed_uv))) = textures {
             let at = nearest.interpolate(&replay.mesh.triangles, replayed_uv);
             let levels = (picture.sample(picture.uv_to_px(uv[v])), replayed.sample(replayed.uv_to_px(at)));
             into.texture.add(f64::from(levels.0 - levels.1));
@@ -139,6 +145,7 @@ mod tests {
         assert_eq!((c.distortion.missing, c.distortion.invented.count), (Share { count: 0, total: 1681 }, 0));
         assert_eq!(c.distortion.texture.psnr_db(), Some(f64::INFINITY));
         assert_eq!(c.distortion.scan_to_replay_plane.squared_sum_mm2, 0.0);
+        assert!(c.distortion.normals.rms_deg().unwrap() < 0.05);
         assert!(c.distortion.d1_psnr_db().unwrap() > 140.0);
     }
 
@@ -170,6 +177,14 @@ mod tests {
     }
 
     #[test]
+    fn a_tilted_plane_has_its_tilt_as_normal_error() {
+        let tilt = 10f32.to_radians();
+        let d = compare(&grid(20, 10.0, |_, _| 0.0), &grid(9, 10.0, |x, _| (x - 5.0) * tilt.tan())).distortion;
+        assert_eq!(d.normals.count, 21 * 21);
+        assert!((d.normals.rms_deg().unwrap() - 10.0).abs() < 5e-3, "{:?}", d.normals.rms_deg());
+    }
+
+    #[test]
     fn spheres_are_apart_by_their_radii() {
         let (radius_mm, apart_mm) = (50.0, 0.8);
         let d = compare(&sphere(120, radius_mm), &sphere(90, radius_mm + apart_mm)).distortion;
@@ -190,7 +205,7 @@ mod tests {
         assert_eq!(missing.missing, Share { count: 48 * 101, total: 101 * 101 });
         assert_eq!(missing.invented.count, 0);
         assert_eq!(missing.scan_to_replay.summary().max, 50.0);
-        assert_eq!(missing.texture.count, 53 * 101);
+        assert_eq!((missing.texture.count, missing.normals.count), (53 * 101, 53 * 101));
         let invented = compare(&half, &whole).distortion;
         assert_eq!((invented.missing.count, invented.invented.total), (0, 51 * 101));
         assert!((invented.invented.fraction() - 0.48).abs() < 2e-3);

@@ -1,6 +1,6 @@
 //! Totals of what was measured on one scan or on many.
 
-use super::ErrorHistogram;
+use super::{ErrorHistogram, NormalError};
 
 /// How replayed surfaces and textures differ from the scans: totals over one scan or over many.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -15,6 +15,8 @@ pub struct Distortion {
     pub scan_to_replay_plane: PlaneError,
     /// As `replay_to_scan`, along the scan's normals.
     pub replay_to_scan_plane: PlaneError,
+    /// Between the normals of the scan's vertices that are not missing and the replay's at the nearest points.
+    pub normals: NormalError,
     /// Vertices of the scan farther than [`super::COVERAGE_LIMIT_MM`] from the replay.
     pub missing: Share,
     /// Points of the replay farther than [`super::COVERAGE_LIMIT_MM`] from the scan: its share of the replayed area.
@@ -60,6 +62,7 @@ impl Distortion {
         self.replay_to_scan.merge(&other.replay_to_scan);
         self.scan_to_replay_plane.merge(other.scan_to_replay_plane);
         self.replay_to_scan_plane.merge(other.replay_to_scan_plane);
+        self.normals.merge(other.normals);
         self.missing.merge(other.missing);
         self.invented.merge(other.invented);
         self.texture.merge(other.texture);

@@ -7,7 +7,7 @@ use super::progress::bar;
 use crate::device::RigConfig;
 use crate::device::sim::{Fault, FaultKind, SimWorld};
 use crate::files::ScanSpool;
-use crate::measure::{Errors, MeasureReport, Measurement, ScanFigures, measure};
+use crate::measure::{Errors, MeasureReport, Measurement, Output, ScanFigures, SessionOutput, measure};
 use crate::pipeline::Recorded;
 use crate::replay::Replay;
 use crate::view::compare::{Comparison, png_bytes};
@@ -89,18 +89,18 @@ impl Demo {
         let capture_s = begin.elapsed().as_secs_f64();
         let mut replay = Replay::open(&session)?;
         let begin = Instant::now();
-        let (Measurement { report, curve }, truth_mm) = measure_all(&config, &mut replay, &mut spool)?;
-        write_plot(&self.out.join(PLOT), &curve, replay.header().scan_period_nanos)?;
-        draw_typical(&curve, &mut replay, &mut spool, &self.out.join(PICTURE))?;
+        let (measurement, truth_mm) = measure_all(&config, &mut replay, &mut spool)?;
+        write_plot(&self.out.join(PLOT), &measurement.curve, replay.header().scan_period_nanos)?;
+        draw_typical(&measurement, &mut replay, &mut spool, &self.out.join(PICTURE))?;
         let report = DemoReport {
             capture,
-            measure: report,
+            measure: measurement.report(Output::Mesh, &replay),
             truth_mm,
             events: replay.reader_mut().events()?,
             capture_s,
             measure_s: begin.elapsed().as_secs_f64(),
             peak_memory_bytes: peak_memory_bytes(),
-            curve,
+            curve: measurement.curve,
         };
         let path = self.out.join(REPORT);
         let json = serde_json::to_string_pretty(&report)?;
@@ -171,11 +171,11 @@ fn capture(config: &RigConfig, session: &Path, seconds: f64, folder: &Path) -> R
 fn measure_all(config: &RigConfig, replay: &mut Replay, spool: &mut ScanSpool) -> Result<(Measurement, TruthReport)> {
     let world = SimWorld::new(config)?;
     let bar = bar(spool.len() as u64, "measure");
-    let against_truth = |scan: &Scan, replayed: &Scan| {
+    let against_truth = |scan: &Scan, replayed: &Scan, _: &[f32]| {
         let truth = Bvh::new(&world.truth_mesh(scan.time_nanos));
-        (distances(&scan.mesh, &truth), distances(&replayed.mesh, &truth))
+        Ok((distances(&scan.mesh, &truth), distances(&replayed.mesh, &truth)))
     };
-    let (measurement, truth) = measure(replay, spool, against_truth, || bar.inc(1))?;
+    let (measurement, truth) = measure(&mut SessionOutput::new(replay, None)?, spool, against_truth, || bar.inc(1))?;
     bar.finish_and_clear();
     let (mut scans, mut replays) = (ErrorHistogram::default(), ErrorHistogram::default());
     for (scan, replay) in &truth {
@@ -196,13 +196,8 @@ fn distances(mesh: &TriMesh, truth: &Bvh) -> ErrorHistogram {
 }
 
 /// Draws the in-between scan of median error: scan, replay, error map.
-fn draw_typical(curve: &[ScanFigures], replay: &mut Replay, spool: &mut ScanSpool, path: &Path) -> Result<()> {
-    let mut order: Vec<&ScanFigures> = curve.iter().filter(|c| !c.is_key).collect();
-    if order.is_empty() {
-        order = curve.iter().collect();
-    }
-    order.sort_by(|a, b| a.scan_to_replay_rms_mm.total_cmp(&b.scan_to_replay_rms_mm));
-    let figures = order.get(order.len() / 2).context("nothing was captured")?;
+fn draw_typical(measurement: &Measurement, replay: &mut Replay, spool: &mut ScanSpool, path: &Path) -> Result<()> {
+    let figures = measurement.typical().context("nothing was captured")?;
     let index = (0..spool.len()).find(|&i| spool.tick(i) == figures.tick).context("the scan is gone")?;
     let scan = spool.load(index)?;
     let replayed = replay.scan_at(scan.time_nanos)?;

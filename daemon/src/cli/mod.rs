@@ -17,6 +17,7 @@ mod progress;
 mod raw;
 mod reconstruct;
 mod recover;
+mod sweep;
 mod verify;
 
 use anyhow::Result;
@@ -53,6 +54,7 @@ enum Command {
     Reconstruct(reconstruct::Reconstruct),
     Recover(recover::Recover),
     Measure(measure::Measure),
+    Sweep(sweep::Sweep),
     Patterns(patterns::Patterns),
     CalibrateGamma(calibrate_gamma::CalibrateGamma),
     Flatten(flatten::Flatten),
@@ -99,6 +101,7 @@ pub fn main() -> ExitCode {
         Command::Reconstruct(c) => c.run(),
         Command::Recover(c) => c.run(),
         Command::Measure(c) => c.run(),
+        Command::Sweep(c) => c.run(),
         Command::Patterns(c) => c.run(),
         Command::CalibrateGamma(c) => c.run(),
         Command::Flatten(c) => c.run(),

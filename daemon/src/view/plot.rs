@@ -6,21 +6,24 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// Size of a plot.
 const SIZE_PX: (u32, u32) = (1000, 480);
-/// Line colours that stay apart for colour-blind eyes (M. Okabe and K. Ito, 2008).
-const COLOURS: [RGBColor; 6] = [
+/// Line colours that stay apart for colour-blind eyes (M. Okabe and K. Ito, 2008), then three more for crowded plots.
+pub(super) const COLOURS: [RGBColor; 9] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
     RGBColor(204, 121, 167),
     RGBColor(86, 180, 233),
     RGBColor(230, 159, 0),
+    RGBColor(110, 112, 120),
+    RGBColor(120, 60, 160),
+    RGBColor(150, 110, 60),
 ];
 /// Left edge of title and legend.
-const MARGIN_PX: i32 = 24;
+pub(super) const MARGIN_PX: i32 = 24;
 /// Strip of title and legend.
 const HEAD_PX: i32 = 88;
-const INK: RGBColor = RGBColor(40, 42, 48);
-const GRID: RGBColor = RGBColor(226, 227, 231);
+pub(super) const INK: RGBColor = RGBColor(40, 42, 48);
+pub(super) const GRID: RGBColor = RGBColor(226, 227, 231);
 const GAP: RGBColor = RGBColor(244, 225, 222);
 
 /// A number over time.

@@ -64,7 +64,7 @@ impl ViewFrame {
     }
 
     /// Position on the picture (x, y in samples) and height towards the eye.
-    fn project(&self, p: Vec3, width: usize, height: usize) -> Vec3 {
+    pub(super) fn project(&self, p: Vec3, width: usize, height: usize) -> Vec3 {
         let scale = FILL * (width as f32 / self.half_width_mm).min(height as f32 / self.half_height_mm) / 2.0;
         let p = self.view_from_mesh * (p - self.centre_mm);
         let scale = scale / (1.0 - p.z / self.eye_mm);
