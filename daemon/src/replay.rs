@@ -51,6 +51,7 @@ pub struct ReplayStamp {
 
 /// A run: groups under one stream header.
 struct Run {
+    header: StreamHeader,
     groups: Range<usize>,
     player: Player,
 }
@@ -96,7 +97,7 @@ impl Replay {
             first_header.get_or_insert(header);
             if !range.is_empty() {
                 let player = Player::new(header, times, output).map_err(|e| fail(e.to_string()))?;
-                runs.push(Run { groups: range, player });
+                runs.push(Run { header, groups: range, player });
             }
         }
         let header = first_header.ok_or_else(|| fail("no stream header; the session cannot be decoded".into()))?;
@@ -106,6 +107,19 @@ impl Replay {
     /// Stream header of the first run.
     pub fn header(&self) -> StreamHeader {
         self.header
+    }
+
+    /// Shows the tracked mesh or each scan as it was seen from now on.
+    ///
+    /// # Errors
+    /// [`ReplayError`] as [`Self::open`].
+    pub fn show(&mut self, output: Output) -> Result<(), ReplayError> {
+        let groups = self.reader.groups();
+        for run in &mut self.runs {
+            let times = groups[run.groups.clone()].iter().map(|g| g.time_nanos).collect();
+            run.player = Player::new(run.header, times, output)?;
+        }
+        Ok(())
     }
 
     /// The container.

@@ -4,8 +4,8 @@
 use gv3::device::sim::{Fault, FaultKind};
 use gv3::device::{self, Camera, CameraInfo, CameraSettings, DeviceError, Frame, Pace, RecordedConfig, Rig, RigConfig};
 use gv3::pipeline::{RawRecorder, RawSets, RecordSettings, Recorded, record};
-use gv3_codec::Scan;
 use gv3_codec::EncoderConfig;
+use gv3_codec::Scan;
 use gv3_protocol::raw::verify_raw;
 use gv3_protocol::session::{Event, SessionFile, SessionMetadata, SessionReader, SessionWriter};
 use std::path::Path;
@@ -15,7 +15,7 @@ use std::time::Instant;
 /// Records a rig into a session; its scans too.
 fn record_to(path: &Path, rig: Rig, periods: Option<u64>) -> (Recorded, Vec<Scan>) {
     let encoder = EncoderConfig::new(rig.timing.set_period_nanos(rig.sequence.patterns.len()));
-    let metadata = SessionMetadata::new(encoder.header.mode.name(), "gv3-tests", 0);
+    let metadata = SessionMetadata::new(encoder.header().mode.name(), "gv3-tests", 0);
     let writer = SessionWriter::create(SessionFile::create(path, false).unwrap(), &metadata).unwrap();
     let scans: Arc<Mutex<Vec<Scan>>> = Arc::default();
     let seen = Arc::clone(&scans);

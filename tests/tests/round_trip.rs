@@ -3,7 +3,7 @@
 
 use gv3::files::picture::PictureFormat;
 use gv3::files::{ExportFormat, ScanFolder};
-use gv3::measure::measure;
+use gv3::measure::{SessionOutput, measure};
 use gv3::replay::Replay;
 use gv3_codec::Scan;
 use gv3_codec::metrics::compare;
@@ -78,13 +78,15 @@ fn a_measured_session_stays_within_bounds() {
     run((0..31).map(scan)).write(&session).unwrap();
     let mut replay = Replay::open(&session).unwrap();
     let mut input = ScanFolder::open(&scans).unwrap();
-    let (measured, _) = measure(&mut replay, &mut input, |_, _| (), || ()).unwrap();
-    let r = measured.report;
+    let mut output = SessionOutput::new(&mut replay, None).unwrap();
+    let (measured, _) = measure(&mut output, &mut input, |_, _, _| Ok(()), || ()).unwrap();
+    let report = measured.report(output.output(), output.replay());
+    let r = &report.distortion;
     assert_eq!((r.scans, r.keyframes, measured.curve.len()), (31, 4, 31));
-    assert_eq!(r.bytes.session, std::fs::metadata(&session).unwrap().len());
-    assert_eq!(r.raw_bytes.obj_bmp, input.raw_bytes());
-    assert!(r.percent_of_raw.obj_bmp < 0.6, "{} %", r.percent_of_raw.obj_bmp);
-    let [there, back] = [r.surface_mm.scan_to_replay, r.surface_mm.replay_to_scan];
+    assert_eq!(report.bytes.session, std::fs::metadata(&session).unwrap().len());
+    assert_eq!(report.raw_bytes.obj_bmp, input.raw_bytes());
+    assert!(report.percent_of_raw.obj_bmp < 0.6, "{} %", report.percent_of_raw.obj_bmp);
+    let [there, back] = [&r.surface_mm.scan_to_replay, &r.surface_mm.replay_to_scan];
     assert!(there.keyframes.rms < KEY_LIMIT_MM && back.keyframes.rms < 0.1, "{there:?} {back:?}");
     // The mouth moves 3 mm up and down; a spline through keyframes a third of a second apart follows most of it.
     assert!(there.in_between.rms < 0.45 && back.in_between.rms < 0.3, "{there:?} {back:?}");
@@ -125,7 +127,8 @@ fn a_scan_that_cannot_be_a_keyframe_gives_way_to_the_next() {
 #[test]
 fn a_run_needs_a_surface_to_begin_with() {
     let sphere = Scan { mesh: closed(3), ..scan(0) };
-    let error = CodedRun::new(EncoderConfig::Seed(seed::EncoderConfig::new(PERIOD_NANOS)), [sphere]).unwrap_err().to_string();
+    let error =
+        CodedRun::new(EncoderConfig::Seed(seed::EncoderConfig::new(PERIOD_NANOS)), [sphere]).unwrap_err().to_string();
     assert!(error.contains("closed"), "{error}");
 }
 

@@ -24,6 +24,8 @@ use std::sync::Arc;
 
 /// Vertices of the disk that a base is mapped from.
 const BASE_VERTICES: usize = 20_000;
+/// Step of patches in tolerances.
+const PATCH_STEP_SHARE: f64 = 4.0;
 /// Squared tolerances that a bit of the lattice may cost.
 const LATTICE_WORTH: f64 = 0.6;
 /// Squared tolerances, summed over pixels, that a bit of a keyframe's patches may cost: they last.
@@ -63,6 +65,16 @@ impl ShotConfig {
             refresh_groups: 8,
             repair: RepairOptions::default(),
         }
+    }
+}
+
+impl ShotConfig {
+    /// Sets the tolerance and the step of patches that suits it.
+    pub fn set_tolerance_mm(&mut self, tolerance_mm: f64) {
+        self.tolerance_mm = tolerance_mm;
+        let units = f64::from(super::UNITS_PER_MM);
+        self.steps.patch = (PATCH_STEP_SHARE * tolerance_mm * units).round().clamp(8.0, 4096.0) as i32;
+        self.header.mode = Mode::Shots(self.steps);
     }
 }
 
@@ -288,7 +300,7 @@ impl Encoder {
         let window = camera.window(scan).ok_or_else(|| CodecError::Mesh("its camera does not see it".into()))?;
         let image = ScanImage::new(scan, &camera.view, window);
         let (disk, report) = to_disk(&scan.mesh, &self.config.repair)?;
-        let (small, _) = simplify(&disk, BASE_VERTICES, &SimplifyOptions::default())?;
+        let (small, _) = simplify(&disk, BASE_VERTICES, &SimplifyOptions::default());
         let base = fit_base(&small, &image, &camera.view, &self.base_options())?;
         let new = NewBase { view: camera.view, edge_step: image.edge_step(scan), base };
         self.anchors.clear();

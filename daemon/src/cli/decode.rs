@@ -5,10 +5,10 @@ use super::encode::fps;
 use super::progress::{bar, human_bytes};
 use crate::files::picture::PictureFormat;
 use crate::files::{ExportFormat, ExportWriter};
+use crate::measure::{Output, SessionOutput};
 use crate::replay::Replay;
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
-use gv3_codec::Output;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -26,9 +26,9 @@ pub struct Decode {
     /// Files to write.
     #[arg(long, value_enum, default_value_t = Format::Obj)]
     format: Format,
-    /// What to write: each scan as it was seen, or the tracked mesh with one connectivity a shot.
-    #[arg(long = "as", value_enum, default_value_t = AsArgument::Scan)]
-    output: AsArgument,
+    /// What to write: each scan as it was seen (the default where the session has it), or the tracked mesh.
+    #[arg(long = "as", value_enum)]
+    output: Option<Output>,
     /// This many scans a second from the first to the last, instead of the original times.
     #[arg(long, value_parser = fps, conflicts_with = "times")]
     fps: Option<f64>,
@@ -44,14 +44,6 @@ pub struct Decode {
     /// Report as JSON.
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum AsArgument {
-    /// As it was seen: the camera's pixels, holes and all.
-    Scan,
-    /// The tracked mesh.
-    Mesh,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -75,11 +67,8 @@ struct DecodeReport {
 
 impl Decode {
     pub(super) fn run(self) -> Result<Outcome> {
-        let output = match self.output {
-            AsArgument::Scan => Output::Scan,
-            AsArgument::Mesh => Output::Mesh,
-        };
-        let mut replay = Replay::open_as(&self.session, output)?;
+        let mut replay = Replay::open(&self.session)?;
+        SessionOutput::new(&mut replay, self.output)?;
         let times = self.times_nanos(&replay)?;
         let format = match self.format {
             Format::Obj => ExportFormat::Obj,

@@ -94,7 +94,7 @@ impl Demo {
         draw_typical(&measurement, &mut replay, &mut spool, &self.out.join(PICTURE))?;
         let report = DemoReport {
             capture,
-            measure: measurement.report(Output::Mesh, &replay),
+            measure: measurement.report(Output::of(replay.header().mode)[0], &replay),
             truth_mm,
             events: replay.reader_mut().events()?,
             capture_s,

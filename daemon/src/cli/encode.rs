@@ -151,7 +151,7 @@ impl Encode {
             ModeArgument::Default => {
                 let mut config = ShotConfig::new(period_nanos);
                 config.header.keyframe_interval = self.keyframe_interval;
-                config.tolerance_mm = self.tolerance_mm;
+                config.set_tolerance_mm(self.tolerance_mm);
                 config.max_error_mm = self.max_error_mm;
                 config.repair.open_closed = self.open_closed;
                 EncoderConfig::Shots(config)

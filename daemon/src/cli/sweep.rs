@@ -5,7 +5,7 @@ use super::encode::fps;
 use super::progress::{bar, human_bytes};
 use crate::files::{ScanFolder, write_whole};
 use crate::sweep::{
-    Coder, Curve, ErrorMapFile, Page, Point, SeedCoder, SweepInput, SweepReport, bd_rates, csv, html, run_point,
+    Coder, Curve, ErrorMapFile, Page, Point, ModeCoder, SweepInput, SweepReport, bd_rates, csv, html, run_point,
 };
 use crate::view::compare::png_bytes;
 use crate::view::plot::Series;
@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 /// (and some of them the commands ffmpeg, cjxl and djxl); those that cannot run here are named with the reason.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  gv3 sweep recordings/smile -o smile-report\n  gv3 sweep recordings/smile --codecs seed,draco,hevc-medium --scans 30 -o smile-report"
+    after_help = "Examples:\n  gv3 sweep recordings/smile -o smile-report\n  gv3 sweep recordings/smile --codecs gv3,seed,draco,hevc-medium --scans 30 -o smile-report"
 )]
 pub struct Sweep {
     /// Folder of scans.
@@ -32,8 +32,8 @@ pub struct Sweep {
     /// Coders to run, all when none are named.
     #[arg(long, value_delimiter = ',', value_name = "NAME,NAME...")]
     codecs: Vec<String>,
-    /// Tolerances for our modes, millimetres; for the seed mode the largest error of rounding a coordinate.
-    #[arg(long, value_delimiter = ',', default_value = "0.025", value_parser = tolerance, value_name = "MM,MM...")]
+    /// Tolerances of the default mode, millimetres.
+    #[arg(long, value_delimiter = ',', default_value = "0.04,0.06,0.08,0.1,0.14,0.2", value_parser = tolerance, value_name = "MM,MM...")]
     tolerances: Vec<f32>,
     /// Keyframe intervals for the seed mode, scans.
     #[arg(long, value_delimiter = ',', default_value = "2,3,5,10", value_parser = clap::value_parser!(u8).range(1..), value_name = "N,N...")]
@@ -66,7 +66,8 @@ fn tolerance(text: &str) -> Result<f32, String> {
 
 impl Sweep {
     pub(super) fn run(self) -> Result<Outcome> {
-        let coders = self.coders()?;
+        let period_nanos = (1e9 / self.fps).round() as u64;
+        let coders = self.coders(period_nanos)?;
         if self.out.join(PAGE).exists() && !self.force {
             bail!("{}: holds a report; give another folder, or --force to replace it", self.out.display());
         }
@@ -75,7 +76,7 @@ impl Sweep {
         let folder = ScanFolder::open(&self.input)?;
         let count = folder.len().min(self.scans as usize);
         let loading = bar(count as u64, "load");
-        let input = SweepInput::load(&folder, count, (1e9 / self.fps).round() as u64, || loading.inc(1))?;
+        let input = SweepInput::load(&folder, count, period_nanos, || loading.inc(1))?;
         loading.finish_and_clear();
         let (mut curves, mut maps) = (Vec::new(), Vec::new());
         for coder in &coders {
@@ -95,8 +96,11 @@ impl Sweep {
         Outcome::of(self.json, &report, || describe(&report, &self.out))
     }
 
-    fn coders(&self) -> Result<Vec<Box<dyn Coder>>> {
-        let mut all: Vec<Box<dyn Coder>> = vec![Box::new(SeedCoder::new(&self.intervals, &self.tolerances))];
+    fn coders(&self, period_nanos: u64) -> Result<Vec<Box<dyn Coder>>> {
+        let mut all: Vec<Box<dyn Coder>> = vec![
+            Box::new(ModeCoder::shots(&self.tolerances, period_nanos)),
+            Box::new(ModeCoder::seed(&self.intervals, &[0.025], period_nanos)),
+        ];
         #[cfg(feature = "baselines")]
         all.extend(crate::baselines::coders());
         let names: Vec<&str> = all.iter().map(|c| c.name()).collect();

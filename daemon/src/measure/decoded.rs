@@ -22,6 +22,8 @@ pub trait Decoded: Send {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Output {
+    /// Each scan as it was seen: the camera's pixels, holes and all.
+    Scan,
     /// The tracked mesh, with one connectivity as long as the codec keeps it.
     Mesh,
 }
@@ -30,7 +32,16 @@ impl Output {
     /// Outputs of sessions in a mode, the usual one first.
     pub fn of(mode: Mode) -> &'static [Self] {
         match mode {
-            Mode::Seed => &[Self::Mesh],
+            Mode::Seed { .. } => &[Self::Mesh],
+            Mode::Shots(_) => &[Self::Scan, Self::Mesh],
+        }
+    }
+
+    /// What a player is to show.
+    pub fn played(self) -> gv3_codec::Output {
+        match self {
+            Self::Scan => gv3_codec::Output::Scan,
+            Self::Mesh => gv3_codec::Output::Mesh,
         }
     }
 }
@@ -54,6 +65,7 @@ impl<'a> SessionOutput<'a> {
             let reason = format!("a session of mode {} has no output {output:?}; it has {outputs:?}", mode.name());
             return Err(MeasureError::Mismatch(reason.to_lowercase()));
         }
+        replay.show(output.played())?;
         Ok(Self { replay, output })
     }
 
@@ -76,8 +88,6 @@ impl Decoded for SessionOutput<'_> {
         self.replay.header().scan_period_nanos
     }
     fn scan(&mut self, stamp: &ReplayStamp) -> Result<Scan, MeasureError> {
-        match self.output {
-            Output::Mesh => Ok(self.replay.scan_at(stamp.time_nanos)?),
-        }
+        Ok(self.replay.scan_at(stamp.time_nanos)?)
     }
 }

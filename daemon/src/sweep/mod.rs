@@ -4,14 +4,14 @@ pub mod bd_rate;
 mod html;
 mod input;
 mod report;
-mod seed;
+mod own_modes;
 #[cfg(test)]
 pub(crate) mod test_scans;
 
 pub use html::{ErrorMapFile, Page, html};
 pub use input::SweepInput;
 pub use report::{BdRate, Curve, Point, SweepReport, bd_rates, csv};
-pub use seed::SeedCoder;
+pub use own_modes::ModeCoder;
 
 use crate::measure::{Decoded, MeasureError, measure};
 use crate::view::error_map::ErrorMap;

@@ -1,35 +1,56 @@
-//! The seed mode as a coder: what a session takes without its textures.
+//! Our own modes as coders: what a session takes without its textures.
 
 use super::{Coded, Coder, SweepInput};
-use crate::measure::{Decoded, MeasureError, Output, SessionOutput};
+use crate::measure::{Decoded, MeasureError, Output};
 use crate::pipeline::record::write_group;
 use crate::replay::{Replay, ReplayStamp};
-use gv3_codec::Scan;
-use gv3_codec::seed::{EncodedGroup, Encoder, EncoderConfig};
+use gv3_codec::shot::encoder::ShotConfig;
+use gv3_codec::{EncodedGroup, Encoder, EncoderConfig, Mode, Scan, seed};
 use gv3_protocol::AtomicFile;
 use gv3_protocol::session::{MetadataGroup, SessionMetadata, SessionWriter};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// The seed mode at every pair of a keyframe interval and a tolerance.
-pub struct SeedCoder {
-    settings: Vec<(u8, f32)>,
+/// One of our modes at several settings.
+pub struct ModeCoder {
+    name: &'static str,
+    about: &'static str,
+    output: Output,
+    settings: Vec<(String, EncoderConfig)>,
 }
 
-impl SeedCoder {
-    /// `intervals` in ticks; `tolerances_mm` are the largest errors of rounding a coordinate, half the quantizer's step.
-    pub fn new(intervals: &[u8], tolerances_mm: &[f32]) -> Self {
-        let settings = intervals.iter().flat_map(|&i| tolerances_mm.iter().map(move |&t| (i, t))).collect();
-        Self { settings }
+impl ModeCoder {
+    /// The default mode at tolerances.
+    pub fn shots(tolerances_mm: &[f32], period_nanos: u64) -> Self {
+        let setting = |&mm: &f32| {
+            let mut config = ShotConfig::new(period_nanos);
+            config.set_tolerance_mm(f64::from(mm));
+            (format!("tolerance {mm} mm"), EncoderConfig::Shots(config))
+        };
+        let settings = tolerances_mm.iter().map(setting).collect();
+        let about = "gv3, each scan as it was seen; container included";
+        Self { name: "gv3", about, output: Output::Scan, settings }
+    }
+
+    /// The seed mode at every pair of a keyframe interval and a largest error of rounding a coordinate (half the
+    /// quantizer's step).
+    pub fn seed(intervals: &[u8], tolerances_mm: &[f32], period_nanos: u64) -> Self {
+        let setting = |interval: u8, mm: f32| {
+            let mut config = seed::EncoderConfig::new(period_nanos);
+            config.header.keyframe_interval = interval;
+            config.header.mode = Mode::Seed { position_step_mm: 2.0 * mm };
+            (format!("every {interval}, {mm} mm"), EncoderConfig::Seed(config))
+        };
+        let settings = intervals.iter().flat_map(|&i| tolerances_mm.iter().map(move |&t| setting(i, t))).collect();
+        let about =
+            "gv3 --mode seed: a sixth of the vertices at keyframes, natural spline between; container included";
+        Self { name: "seed", about, output: Output::Mesh, settings }
     }
 
     fn encode(&self, setting: usize, input: &SweepInput, path: &Path) -> anyhow::Result<Duration> {
-        let (interval, tolerance_mm) = self.settings[setting];
-        let mut config = EncoderConfig::new(input.period_nanos);
-        config.header.keyframe_interval = interval;
-        config.header.position_step_mm = 2.0 * tolerance_mm;
-        let metadata = SessionMetadata::new(config.header.mode.name(), "gv3 sweep", 0);
+        let config = self.settings[setting].1.clone();
+        let metadata = SessionMetadata::new(config.header().mode.name(), "gv3 sweep", 0);
         let mut encoder = Encoder::new(config)?;
         let mut writer = SessionWriter::create(AtomicFile::create(path, false)?, &metadata)?;
         writer.write_stream(&encoder.header().encode())?;
@@ -51,25 +72,25 @@ impl SeedCoder {
     }
 }
 
-impl Coder for SeedCoder {
+impl Coder for ModeCoder {
     fn name(&self) -> &'static str {
-        "seed"
+        self.name
     }
 
     fn about(&self) -> String {
-        "gv3 --mode seed: a sixth of the vertices at keyframes, natural spline between; container included".into()
+        self.about.into()
     }
 
     fn settings(&self) -> Vec<String> {
-        self.settings.iter().map(|(interval, mm)| format!("every {interval}, {mm} mm")).collect()
+        self.settings.iter().map(|(name, _)| name.clone()).collect()
     }
 
     fn code(&self, setting: usize, input: &SweepInput) -> Result<Coded, MeasureError> {
-        let fail = |reason: String| MeasureError::Coder { coder: "seed", reason };
+        let fail = |reason: String| MeasureError::Coder { coder: self.name, reason };
         let folder = TempDir::new().map_err(|e| fail(format!("no temporary folder: {e}")))?;
-        let path = folder.path().join("seed.gv3");
+        let path = folder.path().join("session.gv3");
         let encode_time = self.encode(setting, input, &path).map_err(|e| fail(format!("{e:#}")))?;
-        let replay = Replay::open(&path)?;
+        let replay = Replay::open_as(&path, self.output.played())?;
         let totals = replay.reader().totals();
         let bytes = totals.session - totals.texture;
         Ok(Coded { bytes, encode_time, decoded: Box::new(OwnSession { replay, _folder: folder }) })
@@ -90,7 +111,7 @@ impl Decoded for OwnSession {
         self.replay.header().scan_period_nanos
     }
     fn scan(&mut self, stamp: &ReplayStamp) -> Result<Scan, MeasureError> {
-        SessionOutput::new(&mut self.replay, Some(Output::Mesh))?.scan(stamp)
+        Ok(self.replay.scan_at(stamp.time_nanos)?)
     }
 }
 
@@ -103,7 +124,7 @@ mod tests {
     #[test]
     fn closer_keyframes_and_finer_steps_take_more() {
         let input = rising(40, 7);
-        let coder = SeedCoder::new(&[3, 6], &[0.01, 0.1]);
+        let coder = ModeCoder::seed(&[3, 6], &[0.01, 0.1], input.period_nanos);
         assert_eq!(coder.settings(), ["every 3, 0.01 mm", "every 3, 0.1 mm", "every 6, 0.01 mm", "every 6, 0.1 mm"]);
         let mut bytes = Vec::new();
         for setting in 0..4 {
