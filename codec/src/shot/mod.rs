@@ -11,6 +11,7 @@ pub mod block_transform;
 pub mod camera;
 pub mod carry;
 pub mod change;
+pub mod crop;
 pub mod descent;
 pub mod encoder;
 pub mod fit;
