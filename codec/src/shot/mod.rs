@@ -29,6 +29,7 @@ pub mod patches;
 pub mod player;
 pub mod pose;
 pub mod raster;
+pub mod reciprocal;
 pub mod register;
 pub mod scan_code;
 pub mod scan_image;
