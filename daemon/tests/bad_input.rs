@@ -228,10 +228,7 @@ fn a_scan_that_cannot_be_used_later_on_is_left_out_and_the_note_says_so() {
     let spoiled = |tick| if tick == 10 { Scan { mesh: closed(4), ..scan(tick) } } else { scan(tick) };
     write_scans(&place.path("scans"), ExportFormat::Obj, (0..13).map(spoiled));
     let report = place.gv3(ENCODE_JSON).json();
-    assert!(
-        notes(&report).iter().any(|n| n.contains("frame_0010.obj: left out")),
-        "{report}"
-    );
+    assert!(notes(&report).iter().any(|n| n.contains("frame_0010.obj: left out")), "{report}");
     let info = place.gv3("info out.gv3 --json").json();
     assert_eq!(info["keyframes"], 3);
     assert!(info["events"][0]["message"].as_str().unwrap().contains("frame_0010.obj"), "{info}");
@@ -297,7 +294,9 @@ fn a_full_disk_is_named_and_nothing_half_written_stays() {
     place.gv3("encode scans -o face.gv3 --mode seed --keyframe-interval 1").done();
     assert!(place.read("face.gv3").len() > 200_000);
     std::fs::create_dir(place.path("small")).unwrap();
-    let Some((run, listing)) = on_a_small_disk(&place, 128, "encode scans -o small/out.gv3 --mode seed --keyframe-interval 1") else {
+    let Some((run, listing)) =
+        on_a_small_disk(&place, 128, "encode scans -o small/out.gv3 --mode seed --keyframe-interval 1")
+    else {
         println!("skipped: no file system of our own here (unshare and mount)");
         return;
     };
