@@ -125,7 +125,8 @@ fn look(reference: &SeenScan, [x, y]: [i32; 2]) -> (i32, Option<i32>) {
     let (right, below) = (fx >> 7, fy >> 7);
     if px >= 0 && py >= 0 && px + 1 < width && py + 1 < height {
         let at = (py * width + px) as usize;
-        let (upper, lower) = (&reference.mask[at..at + 2], &reference.mask[at + width as usize..at + width as usize + 2]);
+        let (upper, lower) =
+            (&reference.mask[at..at + 2], &reference.mask[at + width as usize..at + width as usize + 2]);
         if upper[0] && upper[1] && lower[0] && lower[1] {
             return (1 << 16, Some(reference.residual[at + (below * width + right) as usize]));
         }

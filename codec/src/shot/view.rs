@@ -177,12 +177,20 @@ mod tests {
     #[test]
     fn what_is_seen_goes_back_to_where_it_was() {
         let near = View::new(
-            &CameraFit { matrix: [900.0, 20.0, 150.0, 9e4, -10.0, -880.0, 120.0, 8e4, 0.02, -0.05, 1.0, 600.0], max_error_px: 0.0, rms_error_px: 0.0 },
+            &CameraFit {
+                matrix: [900.0, 20.0, 150.0, 9e4, -10.0, -880.0, 120.0, 8e4, 0.02, -0.05, 1.0, 600.0],
+                max_error_px: 0.0,
+                rms_error_px: 0.0,
+            },
             DVec3::ZERO,
             DVec3::NEG_Z,
         );
         let far = View::new(
-            &CameraFit { matrix: [2.0, 0.1, 0.2, 150.0, 0.1, -2.1, 0.3, 160.0, 0.0, 0.0, 0.0, 1.0], max_error_px: 0.0, rms_error_px: 0.0 },
+            &CameraFit {
+                matrix: [2.0, 0.1, 0.2, 150.0, 0.1, -2.1, 0.3, 160.0, 0.0, 0.0, 0.0, 1.0],
+                max_error_px: 0.0,
+                rms_error_px: 0.0,
+            },
             DVec3::ZERO,
             DVec3::NEG_Z,
         );
