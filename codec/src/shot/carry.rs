@@ -28,31 +28,45 @@ pub fn carry(picture: &DepthPicture, seen: &[Seen], connectivity: &Connectivity,
         return Carried { places: vec![vec![NOWHERE; depth.len()]; references.len()], depth };
     }
     let mut carried = Carried { places: vec![vec![[0; 2]; depth.len()]; references.len()], depth };
-    let mut maps = vec![Affine::default(); references.len()];
-    // A triangle's map is costly and its pixels are few: triangle by triangle, not pixel by pixel.
-    for (index, corners) in connectivity.triangles.iter().enumerate().filter(|_| !references.is_empty()) {
-        let here = corners.map(|v| seen[v as usize]);
-        let Some([columns, rows]) = picture.around(here) else { continue };
-        let mut is_mapped = false;
-        for (y, x) in rows.flat_map(|y| columns.clone().map(move |x| (y, x))) {
-            let i = y as usize * picture.width + x as usize;
-            if picture.triangle[i] != index as u32 || picture.depth[i] == NOTHING {
-                continue;
-            }
-            if !is_mapped {
-                is_mapped = true;
-                let frame = Frame::new(here);
-                for (map, reference) in maps.iter_mut().zip(references) {
-                    *map = frame.to(corners.map(|v| reference[v as usize]));
-                }
-            }
-            for (places, map) in carried.places.iter_mut().zip(&maps) {
-                places[i] = map.apply([x << PX_BITS, y << PX_BITS]);
-            }
-        }
+    if !references.is_empty() {
+        carry_drawn(picture, seen, connectivity, references, &mut carried.places);
     }
     continue_beside(&mut carried, picture.width);
     carried
+}
+
+/// The pixels on the surface. A triangle's maps are costly and its pixels few: triangle by triangle, not pixel by pixel.
+fn carry_drawn(
+    picture: &DepthPicture,
+    seen: &[Seen],
+    connectivity: &Connectivity,
+    references: &[&[Seen]],
+    places: &mut [Vec<[i32; 2]>],
+) {
+    let mut maps = vec![Affine::default(); references.len()];
+    for (index, corners) in connectivity.triangles.iter().enumerate() {
+        let here = corners.map(|v| seen[v as usize]);
+        let Some([columns, rows]) = picture.around(here) else { continue };
+        let mut is_mapped = false;
+        for y in rows {
+            for x in columns.clone() {
+                let i = y as usize * picture.width + x as usize;
+                if picture.triangle[i] != index as u32 || picture.depth[i] == NOTHING {
+                    continue;
+                }
+                if !is_mapped {
+                    is_mapped = true;
+                    let frame = Frame::new(here);
+                    for (map, reference) in maps.iter_mut().zip(references) {
+                        *map = frame.to(corners.map(|v| reference[v as usize]));
+                    }
+                }
+                for (places, map) in places.iter_mut().zip(&maps) {
+                    places[i] = map.apply([x << PX_BITS, y << PX_BITS]);
+                }
+            }
+        }
+    }
 }
 
 /// A triangle's edges from its first corner, ready to be mapped.
