@@ -1,15 +1,21 @@
 //! The conformance vectors of FORMAT.md. `GV3_WRITE_VECTORS=1 cargo test -p gv3-codec --test vectors` writes them anew.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+mod bumpy_disk;
 mod payloads;
+mod shot_run;
 
 use gv3_codec::seed::decode_group;
+use gv3_codec::shot::group::Chain;
 use gv3_codec::texture::decode_key_texture;
 use gv3_codec::{CodecError, Mode, StreamHeader};
 use jpeg_encoder::ColorType;
+use payloads::shots::{Shots, invalid_shots};
 use payloads::*;
+use shot_run::RUN;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 /// Groups are read under the header of `stream_header-example`.
 const HEADER: StreamHeader = StreamHeader {
@@ -29,20 +35,46 @@ fn kind_of(name: &str) -> &str {
     name.split('-').next().unwrap_or(name)
 }
 
+/// Number of the group of shots in whose place a vector stands.
+fn group_number(name: &str) -> usize {
+    name.split('-').nth(1).and_then(|n| n.parse().ok()).unwrap_or_else(|| panic!("{name} has no number"))
+}
+
+/// States after the vectors of groups of shots.
+static CHAINS: LazyLock<Vec<Chain>> = LazyLock::new(|| {
+    let mut chains: Vec<Chain> = Vec::new();
+    for name in SHOTS {
+        let bytes = read_hex(&folder("vectors/valid").join(format!("{name}.hex")));
+        let (_, after) = shot_run::describe(&RUN.header, &bytes, chains.last()).unwrap();
+        chains.push(after);
+    }
+    chains
+});
+
+/// Vectors of groups of shots, each decoded after the one before.
+const SHOTS: [&str; 4] = ["shots-0-begins", "shots-1-continues", "shots-2-refreshes", "shots-3-begins"];
+
 /// Decodes a payload and writes what it holds as text.
-fn describe(kind: &str, bytes: &[u8]) -> Result<String, CodecError> {
+fn describe(name: &str, bytes: &[u8]) -> Result<String, CodecError> {
     let mut out = String::new();
-    match kind {
+    match kind_of(name) {
+        "shots" => {
+            let before = group_number(name).checked_sub(1).map(|b| &CHAINS[b]);
+            return shot_run::describe(&RUN.header, bytes, before).map(|(text, _)| text);
+        }
         "stream_header" => {
             let h = StreamHeader::decode(bytes)?;
             writeln!(out, "mode {}\nkeyframe_interval {}", h.mode.name(), h.keyframe_interval).unwrap();
-            writeln!(
-                out,
-                "scan_period_nanos {}\nposition_step_mm {}",
-                h.scan_period_nanos,
-                h.position_step_mm().unwrap()
-            )
-            .unwrap();
+            writeln!(out, "scan_period_nanos {}", h.scan_period_nanos).unwrap();
+            match h.mode {
+                Mode::Seed { position_step_mm } => writeln!(out, "position_step_mm {position_step_mm}").unwrap(),
+                Mode::Shots(s) => {
+                    let m = s.motion;
+                    writeln!(out, "turn {} shift {} lattice {:?}", m.turn, m.shift, m.lattice).unwrap();
+                    writeln!(out, "patch {} control {}", s.patch, s.control).unwrap();
+                    writeln!(out, "displacement {} flat {}", s.displacement, s.flat).unwrap();
+                }
+            }
         }
         "group" => {
             let g = decode_group(&HEADER, bytes)?;
@@ -89,7 +121,8 @@ fn valid() -> Vec<(&'static str, Payload)> {
         uv: Uv::None,
         ..first.clone()
     };
-    vec![
+    let shots = SHOTS.iter().enumerate().map(|(i, name)| (*name, Shots::of_run(i).payload()));
+    let others = vec![
         ("stream_header-example", Header::default().payload()),
         (
             "stream_header-least",
@@ -99,13 +132,16 @@ fn valid() -> Vec<(&'static str, Payload)> {
             "stream_header-most",
             Header { interval: 255, period: varint(1_000_000_000_000), step_mm: 1024.0, ..Header::default() }.payload(),
         ),
+        ("stream_header-shots", shots_header([2, 4, 38, 77, 100, 64, 38, 10])),
+        ("stream_header-shots-most", shots_header([4096; 8])),
         ("group-coded-uv", group.payload()),
         ("group-camera-uv", Group { uv: Uv::Camera(CAMERA), ..group.clone() }.payload()),
         ("group-without-uv", Group { uv: Uv::None, ..first.clone() }.payload()),
         ("group-one-triangle", triangle.payload()),
         ("texture-whole", texture([16, 16, 0, 0], jpeg(16, 16, ColorType::Luma, false))),
         ("texture-crop", texture([16, 16, 5, 7], jpeg(9, 8, ColorType::Luma, false))),
-    ]
+    ];
+    others.into_iter().chain(shots).collect()
 }
 
 /// Name, payload, what the error must say.
@@ -117,8 +153,11 @@ fn invalid_headers() -> Vec<Invalid> {
     long.push(("one byte more", vec![0]));
     vec![
         ("stream_header-version-0", Header { version: 0, ..h() }.payload(), "stream header, byte 2: format version 0"),
-        ("stream_header-version-2", Header { version: 2, ..h() }.payload(), "version 2 is newer than 1"),
-        ("stream_header-mode-1", Header { mode: 1, ..h() }.payload(), "stream header, byte 3: mode 1"),
+        ("stream_header-version-3", Header { version: 3, ..h() }.payload(), "version 3 is newer than 2"),
+        ("stream_header-mode-1", Header { mode: 1, ..h() }.payload(), "stream header, byte 2: mode 1 in version 1"),
+        ("stream_header-seed-2", Header { version: 2, ..h() }.payload(), "mode 0 in version 2"),
+        ("stream_header-shots-0", shots_header([2, 4, 38, 77, 0, 64, 38, 10]), "patch step is 0"),
+        ("stream_header-shots-above", shots_header([2, 4, 38, 77, 100, 64, 38, 4097]), "flatness is 4097"),
         ("stream_header-interval-0", Header { interval: 0, ..h() }.payload(), "keyframe interval is 0"),
         ("stream_header-period-0", Header { period: vec![0], ..h() }.payload(), "scan period is 0 ns"),
         ("stream_header-period-above", Header { period: varint(1_000_000_000_001), ..h() }.payload(), "scan period is"),
@@ -304,7 +343,7 @@ fn invalid_textures() -> Vec<Invalid> {
 
 fn invalid() -> Vec<Invalid> {
     let groups = [invalid_stamps(), invalid_connectivity(), invalid_attributes(), invalid_landmarks()].concat();
-    [invalid_headers(), groups, invalid_textures()].concat()
+    [invalid_headers(), groups, invalid_textures(), invalid_shots(&CHAINS)].concat()
 }
 
 fn write_hex(path: &Path, payload: &Payload) {
@@ -326,9 +365,12 @@ fn read_hex(path: &Path) -> Vec<u8> {
 }
 
 fn write_all() {
+    // Groups of shots are described after those before them.
     for (name, payload) in valid() {
         write_hex(&folder("vectors/valid").join(format!("{name}.hex")), &payload);
-        let text = describe(kind_of(name), &bytes_of(&payload)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    }
+    for (name, payload) in valid() {
+        let text = describe(name, &bytes_of(&payload)).unwrap_or_else(|e| panic!("{name}: {e}"));
         std::fs::write(folder("vectors/valid").join(format!("{name}.txt")), text).unwrap();
         write_seed(name, &payload);
     }
@@ -381,13 +423,13 @@ fn vectors_hold() {
     let vectors = read_all("vectors/valid", "txt");
     assert_eq!(vectors.len(), valid().len(), "vectors were added or dropped: write them anew");
     for (name, bytes, wanted) in &vectors {
-        let found = describe(kind_of(name), bytes).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let found = describe(name, bytes).unwrap_or_else(|e| panic!("{name}: {e}"));
         assert!(agree(&found, wanted), "{name}:\n{found}\nbut the vector says\n{wanted}");
     }
     let vectors = read_all("vectors/invalid", "err");
     assert_eq!(vectors.len(), invalid().len(), "vectors were added or dropped: write them anew");
     let wrong: Vec<String> = (vectors.iter())
-        .filter_map(|(name, bytes, wanted)| match describe(kind_of(name), bytes) {
+        .filter_map(|(name, bytes, wanted)| match describe(name, bytes) {
             Err(error) if error.to_string().contains(wanted.trim()) => None,
             other => Some(format!("{name}: {other:?}\nbut should say {wanted}")),
         })
@@ -395,22 +437,36 @@ fn vectors_hold() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// About as many bits of each vector of shots are flipped.
+const FLIPS_OF_SHOTS: usize = 30;
+
+/// The encoder works in floating point, but in a fixed order and without functions that differ from machine to machine.
+#[test]
+fn the_encoder_makes_the_vectors_of_shots_in_every_build() {
+    let vectors = read_all("vectors/valid", "txt").into_iter().filter(|(name, ..)| kind_of(name) == "shots");
+    for ((name, vector, _), group) in vectors.zip(&RUN.groups) {
+        assert!(group.geometry == vector, "{name}: other bytes; if they are meant to be, write the vectors anew");
+    }
+}
+
 #[test]
 fn every_prefix_and_one_byte_more_fail_and_no_flip_panics() {
     for (name, bytes, _) in read_all("vectors/valid", "txt") {
-        let kind = kind_of(&name);
         for n in 0..bytes.len() {
-            assert!(describe(kind, &bytes[..n]).is_err(), "{name}: {n} of {} bytes decode", bytes.len());
+            assert!(describe(&name, &bytes[..n]).is_err(), "{name}: {n} of {} bytes decode", bytes.len());
         }
         for more in [0, 0x55, 0xff] {
-            assert!(describe(kind, &[&bytes[..], &[more]].concat()).is_err(), "{name} with {more:#04x} after it");
+            assert!(describe(&name, &[&bytes[..], &[more]].concat()).is_err(), "{name} with {more:#04x} after it");
         }
     }
     for (name, bytes, _) in read_all("vectors/valid", "txt").into_iter().chain(read_all("vectors/invalid", "err")) {
-        for i in 0..8 * bytes.len().min(4096) {
+        // A group of shots takes long to decode: some of its bits, at odd distances.
+        let bits = 8 * bytes.len().min(4096);
+        let stride = if kind_of(&name) == "shots" { (bits / FLIPS_OF_SHOTS) | 1 } else { 1 };
+        for i in (0..bits).step_by(stride) {
             let mut flipped = bytes.clone();
             flipped[i / 8] ^= 1 << (i % 8);
-            let _ = describe(kind_of(&name), &flipped);
+            let _ = describe(&name, &flipped);
         }
     }
 }

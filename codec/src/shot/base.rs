@@ -94,7 +94,8 @@ impl CodedBase {
         let displacement = self.displacement();
         for ((p, n), d) in positions.iter_mut().zip(&normals_of_control).zip(&displacement) {
             for i in 0..3 {
-                p[i] += (n[i] * d) >> DIRECTION_BITS;
+                // Displacements of several levels may add up to more than 17 bits.
+                p[i] += ((i64::from(n[i]) * i64::from(*d)) >> DIRECTION_BITS) as i32;
             }
         }
         let normals = normals(&positions);
@@ -137,8 +138,9 @@ impl CodedBase {
         for i in 0..CONTROL_SIDE * CONTROL_SIDE {
             let mut c = predict_control(&control, i);
             for (c, m) in c.iter_mut().zip(&mut models.0) {
-                *c = c.wrapping_add(reader.signed(&mut m.magnitude, &mut m.sign)?);
-                if c.abs() > (1 << 22) / control_step {
+                // The sum of a prediction and 31 bits: saturated, it is out of range all the same.
+                *c = c.saturating_add(reader.signed(&mut m.magnitude, &mut m.sign)?);
+                if c.unsigned_abs() > (1 << 22) / control_step as u32 {
                     return Err(reader.error("a control point beyond 16 m"));
                 }
             }

@@ -8,6 +8,8 @@ use super::view::{PX_BITS, Seen};
 
 /// Fraction bits of a gradient.
 const GRADIENT_BITS: u32 = 16;
+/// Steepest gradient: slivers have steeper ones, whose products with a triangle's extent would overflow.
+const MAX_GRADIENT: i64 = 1 << 40;
 /// Position of a pixel that no surface carries.
 pub const NOWHERE: [i32; 2] = [i32::MIN; 2];
 
@@ -66,7 +68,8 @@ impl Affine {
         let gradient = [0, 1].map(|k| {
             let (d1, d2) = (tb[k] - ta[k], tc[k] - ta[k]);
             let along = [d1 * e2[1] - d2 * e1[1], d2 * e1[0] - d1 * e2[0]];
-            along.map(|n| if determinant == 0 { 0 } else { (n << GRADIENT_BITS) / determinant })
+            let slope = |n: i64| ((n << GRADIENT_BITS) / determinant).clamp(-MAX_GRADIENT, MAX_GRADIENT);
+            along.map(|n| if determinant == 0 { 0 } else { slope(n) })
         });
         Self { from: [here[0].x, here[0].y], to: [there[0].x, there[0].y], gradient }
     }

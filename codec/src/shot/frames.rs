@@ -3,6 +3,9 @@
 use super::base::{Base, DIRECTION_BITS, cross, unit};
 use super::lattice::{GRID_CELLS, GRID_SIDE, LEVEL_SIDES};
 
+/// Farthest that one coefficient's node may move, 1/16 units: 16 m.
+const MAX_MOVE: i64 = 1 << 26;
+
 /// Normal and two tangents of a node, unit vectors times 2^14.
 pub type Frame = [[i32; 3]; 3];
 
@@ -37,10 +40,11 @@ fn disk_node(i: usize, j: usize, side: usize) -> (usize, usize) {
     (on(centred[0]) as usize, on(centred[1]) as usize)
 }
 
-/// The vector of coefficients (normal, two tangents; in steps) in a frame, in 1/16 units.
+/// The vector of coefficients (normal, two tangents; in steps) in a frame, in 1/16 units, at most 2^26 a channel.
 pub fn to_space(frame: &Frame, steps: [i32; 3], q: [i32; 3]) -> [i32; 3] {
     [0, 1, 2].map(|c| {
         let sum: i64 = (0..3).map(|d| i64::from(frame[d][c]) * i64::from(q[d]) * i64::from(steps[d])).sum();
-        ((sum + (1 << (DIRECTION_BITS - 5))) >> (DIRECTION_BITS - 4)) as i32
+        let rounded = (sum + (1 << (DIRECTION_BITS - 5))) >> (DIRECTION_BITS - 4);
+        rounded.clamp(-MAX_MOVE, MAX_MOVE) as i32
     })
 }

@@ -25,6 +25,8 @@ impl Default for Motion {
 
 /// Farthest node, 1/16 units: 16 m.
 const MAX_NODE: i32 = 1 << 26;
+/// Farthest mean of motions: uneven ticks can throw a spline far out, and a correction is added to it.
+const MAX_MEAN: i32 = 1 << 29;
 
 impl Motion {
     /// True when no later step overflows.
@@ -63,7 +65,8 @@ pub fn weighted(motions: &[&Motion], weights: &[i64], denominator: i64) -> Motio
     assert!(motions.len() == weights.len() && denominator > 0, "a weight a motion over a positive denominator");
     let mean = |values: &mut dyn Iterator<Item = i32>| {
         let sum: i128 = values.zip(weights).map(|(v, w)| i128::from(v) * i128::from(*w)).sum();
-        (sum + i128::from(denominator) / 2).div_euclid(i128::from(denominator)) as i32
+        let mean = (sum + i128::from(denominator) / 2).div_euclid(i128::from(denominator));
+        mean.clamp(-i128::from(MAX_MEAN), i128::from(MAX_MEAN)) as i32
     };
     let pose = Pose {
         turn: [0, 1, 2].map(|c| mean(&mut motions.iter().map(|m| m.pose.turn[c]))),

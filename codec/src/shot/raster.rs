@@ -34,27 +34,27 @@ impl DepthPicture {
     }
 
     /// Draws a front-facing triangle (clockwise in the picture, whose rows go down); pixel centres on an edge belong to the
-    /// triangle on its right or below (top-left rule), so that neighbours neither overlap nor leave gaps.
-    pub fn draw(&mut self, index: u32, corners: [Seen; 3]) {
+    /// triangle on its right or below (top-left rule), so that neighbours neither overlap nor leave gaps. Returns how many pixels were looked at: the triangle's extent within the picture.
+    pub fn draw(&mut self, index: u32, corners: [Seen; 3]) -> usize {
         let [a, b, c] = corners;
         let (abx, aby) = (i64::from(b.x - a.x), i64::from(b.y - a.y));
         let (acx, acy) = (i64::from(c.x - a.x), i64::from(c.y - a.y));
         // Counter-clockwise as seen with y up is clockwise with y down.
         let area = acx * aby - abx * acy;
         if area <= 0 {
-            return;
+            return 0;
         }
         let low = |f: fn(&Seen) -> i32| corners.iter().map(f).fold(i32::MAX, i32::min);
         let high = |f: fn(&Seen) -> i32| corners.iter().map(f).fold(i32::MIN, i32::max);
         let (x0, x1, y0, y1) = (low(|s| s.x), high(|s| s.x), low(|s| s.y), high(|s| s.y));
         if x1 - x0 > MAX_SPAN || y1 - y0 > MAX_SPAN {
-            return;
+            return 0;
         }
         let up = |v: i32| (v + 255) >> PX_BITS;
         let (px0, py0) = (up(x0).max(0), up(y0).max(0));
         let (px1, py1) = ((x1 >> PX_BITS).min(self.width as i32 - 1), (y1 >> PX_BITS).min(self.height as i32 - 1));
         if px0 > px1 || py0 > py1 {
-            return;
+            return 0;
         }
         let (dz1, dz2) = (i64::from(b.depth - a.depth), i64::from(c.depth - a.depth));
         // Plane through the corners: depth slopes a pixel.
@@ -87,6 +87,7 @@ impl DepthPicture {
             }
             row_depth += sy;
         }
+        (px1 - px0 + 1) as usize * (py1 - py0 + 1) as usize
     }
 }
 
