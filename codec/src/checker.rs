@@ -1,19 +1,22 @@
 //! Decodes the groups of a run one after another, for the errors alone.
 
-use crate::shot::group::{Chain, Parts};
+use crate::shot::group::Parts;
+use crate::shot::link::Link;
+use crate::shot::textures::Pictures;
 use crate::texture::decode_key_texture;
 use crate::{Mode, Result, StreamHeader, seed};
 
 /// Checks a run's groups in their order.
 pub struct Checker {
     header: StreamHeader,
-    chain: Option<Chain>,
+    link: Option<Link>,
+    groups: usize,
 }
 
 impl Checker {
     /// A checker of a run.
     pub fn new(header: StreamHeader) -> Self {
-        Self { header, chain: None }
+        Self { header, link: None, groups: 0 }
     }
 
     /// Decodes the next group fully.
@@ -27,11 +30,15 @@ impl Checker {
                 texture.map(decode_key_texture).transpose()?;
             }
             Mode::Shots(steps) => {
-                let before = self.chain.take();
+                let before = self.link.take();
                 let parts = Parts::read(&self.header, geometry)?;
-                let after = parts.decode_key(&steps, before.as_ref())?;
-                parts.decode_between(&steps, before.as_ref(), &after)?;
-                self.chain = Some(after);
+                let pictures = texture.map(|t| Pictures::read(t, parts.stamps.len() - 1)).transpose()?;
+                let after = Link::after(&parts, pictures.as_ref(), before.as_ref(), self.groups, &steps)?;
+                for shown in after.show(&parts, pictures.as_ref(), before.as_ref(), &steps)? {
+                    shown.texture()?;
+                }
+                self.link = Some(after);
+                self.groups += 1;
             }
         }
         Ok(())

@@ -4,7 +4,7 @@ use super::anchors::{Anchors, TrackedPixel};
 use super::base_fit::{BaseOptions, fit_base, refit_base};
 use super::camera::ShotCamera;
 use super::group::{self, Chain, MAX_GROUP_PIXELS, MAX_SCANS, NewBase, Start};
-use super::model::Model;
+use super::model::{Model, Window};
 use super::motion::Motion;
 use super::motion_code::Correction;
 use super::order::{Decoded, coding_order};
@@ -13,13 +13,14 @@ use super::scan_code::{self, Context, Fidelity, ScanModels, Spent};
 use super::scan_image::ScanImage;
 use super::seen_scan::SeenScan;
 use super::steps::Steps;
+use super::textures::{self, TextureChain, TextureSteps, Textured};
 use crate::bits::range_coder::RangeEncoder;
 use crate::encoder::{EncodedGroup, Pushed};
 use crate::mesh::repair::{RepairOptions, RepairReport, to_disk};
 use crate::mesh::simplify::{SimplifyOptions, simplify};
 use crate::motion::{Mask, Tracker, TrackerOptions};
 use crate::seed::GivenCounts;
-use crate::{CodecError, Mode, Result, Scan, Stamp, StreamHeader};
+use crate::{CodecError, GreyPicture, Mode, Result, Scan, Stamp, StreamHeader};
 use std::sync::Arc;
 
 /// Vertices of the disk that a base is mapped from.
@@ -48,6 +49,8 @@ pub struct ShotConfig {
     pub max_error_mm: Option<f64>,
     /// Groups from one refresh to the next.
     pub refresh_groups: u32,
+    /// Steps of pictures.
+    pub texture: TextureSteps,
     /// How scans become disks.
     pub repair: RepairOptions,
 }
@@ -63,6 +66,7 @@ impl ShotConfig {
             tolerance_mm: 0.1,
             max_error_mm: None,
             refresh_groups: 8,
+            texture: TextureSteps::default(),
             repair: RepairOptions::default(),
         }
     }
@@ -113,6 +117,7 @@ struct Pending {
     stamp: Stamp,
     image: ScanImage,
     tracked: Vec<TrackedPixel>,
+    picture: Option<GreyPicture>,
 }
 
 /// Encoder of one run.
@@ -120,6 +125,7 @@ pub struct Encoder {
     config: ShotConfig,
     camera: Option<ShotCamera>,
     chain: Option<Chain>,
+    texture: Option<TextureChain>,
     groups_since_base: u32,
     groups_since_shot: u64,
     pending: Vec<Pending>,
@@ -153,6 +159,7 @@ impl Encoder {
             config,
             camera: None,
             chain: None,
+            texture: None,
             groups_since_base: 0,
             groups_since_shot: 0,
             pending: Vec::new(),
@@ -187,7 +194,7 @@ impl Encoder {
             match self.code_key(&scan, stamp, image.as_ref(), &tracked) {
                 Ok(key) => {
                     pushed.repair = key.repair.clone().filter(RepairReport::has_damage);
-                    pushed.group = Some(self.close_group(stamp, key)?);
+                    pushed.group = Some(self.close_group(&scan, stamp, key)?);
                     self.last = None;
                     self.last_stamp = Some(stamp);
                     return Ok(pushed);
@@ -197,7 +204,8 @@ impl Encoder {
             }
         }
         if let Some(image) = image {
-            self.pending.push(Pending { stamp, image, tracked });
+            let picture = picture_of(&scan, &image.window);
+            self.pending.push(Pending { stamp, image, tracked, picture });
             self.last = Some(scan);
             self.last_stamp = Some(stamp);
         }
@@ -211,7 +219,7 @@ impl Encoder {
     pub fn finish(mut self) -> Result<Option<EncodedGroup>> {
         let (Some(scan), Some(last)) = (self.last.take(), self.pending.pop()) else { return Ok(None) };
         let key = self.code_key(&scan, last.stamp, Some(&last.image), &last.tracked)?;
-        self.close_group(last.stamp, key).map(Some)
+        self.close_group(&scan, last.stamp, key).map(Some)
     }
 
     /// Follows the texture to this scan.
@@ -330,9 +338,10 @@ impl Encoder {
         BaseOptions { control_step: steps.control, displacement_step: steps.displacement, ..BaseOptions::default() }
     }
 
-    fn close_group(&mut self, stamp: Stamp, key: CodedKey) -> Result<EncodedGroup> {
+    fn close_group(&mut self, scan: &Scan, stamp: Stamp, key: CodedKey) -> Result<EncodedGroup> {
         let pending = std::mem::take(&mut self.pending);
-        let (between, spent) = self.code_between(&pending, stamp, &key)?;
+        let (between, spent, decoded) = self.code_between(&pending, stamp, &key)?;
+        let texture = self.code_textures(scan, stamp, &key, &pending, &decoded);
         let stamps: Vec<Stamp> = pending.iter().map(|p| p.stamp).chain([stamp]).collect();
         self.groups_since_shot = if key.start == Start::Begins { 0 } else { self.groups_since_shot + 1 };
         let head = (key.start, key.new_base.as_ref(), self.groups_since_shot);
@@ -348,16 +357,18 @@ impl Encoder {
             key: stamp,
             scans: stamps.len(),
             geometry,
-            texture: None,
+            texture,
             landmarks: GivenCounts::default(),
             cost: Some(cost),
         })
     }
 
     /// The scans before a keyframe, as [`group::Parts::decode_between`] reads them.
-    fn code_between(&self, pending: &[Pending], stamp: Stamp, key: &CodedKey) -> Result<(Vec<u8>, Spent)> {
+    fn code_between(&self, pending: &[Pending], stamp: Stamp, key: &CodedKey) -> Result<(Vec<u8>, Spent, Decoded)> {
         let mut total = Spent::default();
-        let (Some(before), false) = (&self.chain, pending.is_empty()) else { return Ok((Vec::new(), total)) };
+        let (Some(before), false) = (&self.chain, pending.is_empty()) else {
+            return Ok((Vec::new(), total, Decoded::default()));
+        };
         let mut out = RangeEncoder::default();
         let mut models = key.chain.models.clone();
         let mut decoded = before.keys.clone();
@@ -387,6 +398,45 @@ impl Encoder {
             total = total + spent;
             decoded.insert(ticks[i], Arc::new(scan));
         }
-        Ok((group::finish(out), total))
+        Ok((group::finish(out), total, decoded))
     }
+
+    /// Pictures of a group: that of its keyframe from the one before, then what the scans between lack.
+    fn code_textures(
+        &mut self,
+        scan: &Scan,
+        stamp: Stamp,
+        key: &CodedKey,
+        pending: &[Pending],
+        decoded: &Decoded,
+    ) -> Option<Vec<u8>> {
+        let coded = Arc::clone(&key.chain.keys.scans[&stamp.tick]);
+        let before = self.texture.take().zip(self.chain.as_ref());
+        let picture = picture_of(scan, &coded.window)?;
+        let steps = self.config.texture;
+        let textured = before.as_ref().map(|(texture, chain)| Textured {
+            scan: &chain.keys.scans[&chain.key_tick],
+            chain: texture,
+            tick: chain.key_tick,
+        });
+        let continued = textured.filter(|_| key.start == Start::Continues);
+        let (bytes, texture) = textures::encode_key(&picture, &coded, &key.chain.model, continued, steps);
+        let end = decoded.scans.get(&stamp.tick);
+        let after = end.map(|scan| Textured { scan, chain: &texture, tick: stamp.tick });
+        let keys: Vec<Textured<'_>> = textured.into_iter().chain(after).collect();
+        let between = |p: &Pending| {
+            let (chain, picture) = (self.chain.as_ref()?, p.picture.as_ref()?);
+            let scan = &decoded.scans[&p.stamp.tick];
+            Some(textures::encode_between(picture, (p.stamp.tick, scan), &chain.model, &keys, steps))
+        };
+        let between: Vec<Vec<u8>> = pending.iter().map(|p| between(p).unwrap_or_default()).collect();
+        self.texture = Some(texture);
+        Some(textures::write(&bytes, &between))
+    }
+}
+
+/// The picture of a scan whose pixels are the window's.
+fn picture_of(scan: &Scan, window: &Window) -> Option<GreyPicture> {
+    let fits = |p: &&GreyPicture| (p.width_px as usize, p.height_px as usize) == (window.width, window.height);
+    scan.texture.as_ref().filter(fits).cloned()
 }

@@ -79,6 +79,15 @@ impl Chain {
     }
 }
 
+/// The decoded scans between two keyframes.
+#[derive(Debug, Clone, Default)]
+pub struct Between {
+    /// In time order; they move the model of the keyframe before.
+    pub scans: Vec<(Stamp, Arc<SeenScan>)>,
+    /// The keyframe after them against that model; none where another shot begins.
+    pub end: Option<Arc<SeenScan>>,
+}
+
 /// A group taken apart, its range-coded sections not yet decoded.
 #[derive(Debug, Clone)]
 pub struct Parts<'a> {
@@ -169,20 +178,14 @@ impl<'a> Parts<'a> {
         Ok(Chain { models, ..chain }.advance(tick, Arc::new(scan)))
     }
 
-    /// Decodes the scans between, in time order; `before` and `after` are the chains at the keyframes around them. Also
-    /// gives the model that they move.
+    /// Decodes the scans between, in time order; `before` and `after` are the chains at the keyframes around them.
     ///
     /// # Errors
     /// [`crate::CodecError`] when bytes do not fit, or the chain is missing.
-    pub fn decode_between(
-        &self,
-        steps: &Steps,
-        before: Option<&Chain>,
-        after: &Chain,
-    ) -> Result<Vec<(Stamp, Arc<SeenScan>)>> {
+    pub fn decode_between(&self, steps: &Steps, before: Option<&Chain>, after: &Chain) -> Result<Between> {
         let stamps = &self.stamps[..self.stamps.len() - 1];
         if stamps.is_empty() {
-            return Ok(Vec::new());
+            return Ok(Between::default());
         }
         let missing = || ByteReader::new(&[], "group").error("its scans follow a keyframe that is not there");
         let before = before.filter(|b| b.key_tick < stamps[0].tick).ok_or_else(missing)?;
@@ -201,8 +204,8 @@ impl<'a> Parts<'a> {
             }
         };
         let end_tick = bridge.as_ref().map(|_| key_tick);
-        if let Some(bridge) = bridge {
-            decoded.insert(key_tick, bridge);
+        if let Some(bridge) = &bridge {
+            decoded.insert(key_tick, Arc::clone(bridge));
         }
         let ticks: Vec<u64> = stamps.iter().map(|s| s.tick).collect();
         let mut pixels = 0;
@@ -220,7 +223,7 @@ impl<'a> Parts<'a> {
             scans[i] = Some(scan);
         }
         end(reader)?;
-        Ok(stamps.iter().copied().zip(scans.into_iter().flatten()).collect())
+        Ok(Between { scans: stamps.iter().copied().zip(scans.into_iter().flatten()).collect(), end: bridge })
     }
 }
 

@@ -17,6 +17,7 @@ pub mod fit;
 pub mod frames;
 pub mod group;
 pub mod lattice;
+pub mod link;
 pub mod mask;
 pub mod model;
 pub mod motion;
@@ -32,6 +33,7 @@ pub mod scan_code;
 pub mod scan_image;
 pub mod seen_scan;
 pub mod steps;
+pub mod textures;
 pub mod tracked;
 pub mod view;
 

@@ -3,12 +3,14 @@
 use super::as_scan::{as_scan, as_scan_at};
 use super::bisection::Connectivity;
 use super::change::{Change, OnDisk};
-use super::group::{Chain, MAX_CONTINUED, Parts, Start};
+use super::group::{MAX_CONTINUED, Parts, Start};
+use super::link::Link;
 use super::steps::Steps;
-use super::tracked::{Shown, positions_at};
+use super::textures::Pictures;
+use super::tracked::{Picture, Shown, positions_at};
 use crate::mesh::TriMesh;
-use crate::player::{Fetch, Output};
-use crate::{CodecError, Result, Scan, Stamp, StreamHeader};
+use crate::player::{Fetch, Output, Payloads};
+use crate::{CodecError, GreyPicture, Result, Scan, StreamHeader};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -30,12 +32,8 @@ pub struct Player {
     change: Option<(u64, Change)>,
 }
 
-/// The state after a group, and where its shot began.
-#[derive(Clone)]
-struct Link {
-    chain: Chain,
-    shot: usize,
-}
+/// What is shown: a surface and its texture.
+type Surface = (TriMesh, Option<GreyPicture>);
 
 type Failure<E> = std::result::Result<(), E>;
 
@@ -66,11 +64,11 @@ impl Player {
         let at = self.key_times_nanos.partition_point(|&t| t < time_nanos).min(last);
         let around = self.around(at, time_nanos, fetch)?;
         let period = self.header.scan_period_nanos;
-        let mesh = match self.output {
-            Output::Scan => show_scan(&around, time_nanos),
+        let (mesh, texture) = match self.output {
+            Output::Scan => show_scan(&around, time_nanos).map_err(E::from)?,
             Output::Mesh => self.show_mesh(&around, time_nanos, fetch)?,
         };
-        Ok(Scan { tick: (time_nanos + period / 2) / period, time_nanos, mesh, texture: None })
+        Ok(Scan { tick: (time_nanos + period / 2) / period, time_nanos, mesh, texture })
     }
 
     /// Scans in time order with `at` the index of the last one not after the moment: two on either side of it, as far as
@@ -106,9 +104,9 @@ impl Player {
         if self.groups.contains_key(&group) {
             return Ok(());
         }
-        let (bytes, _) = fetch(group)?;
+        let (bytes, texture) = fetch(group)?;
         let parts = Parts::read(&self.header, &bytes).map_err(E::from)?;
-        let before = match group.checked_sub(1).filter(|_| parts.stamps.len() > 1 || parts.start == Start::Continues) {
+        let before = match group.checked_sub(1).filter(|_| parts.stamps.len() > 1) {
             Some(before) => {
                 self.link(before, fetch)?;
                 Some(self.chains[&before].clone())
@@ -116,21 +114,9 @@ impl Player {
             None => None,
         };
         self.link(group, fetch)?;
-        let link = self.chains[&group].clone();
-        let mut shown = Vec::with_capacity(parts.stamps.len());
-        if let Some(Link { chain, shot }) = &before {
-            let between = parts.decode_between(&self.steps, Some(chain), &link.chain).map_err(E::from)?;
-            let model = &chain.model;
-            shown.extend(between.into_iter().map(|(stamp, scan)| Shown {
-                stamp,
-                scan,
-                model: Arc::clone(model),
-                shot: *shot,
-            }));
-        } else if parts.stamps.len() > 1 {
-            parts.decode_between(&self.steps, None, &link.chain).map_err(E::from)?;
-        }
-        shown.push(link.shown(parts.key_stamp()));
+        let pictures = pictures(texture.as_deref(), &parts).map_err(E::from)?;
+        let link = &self.chains[&group];
+        let shown = link.show(&parts, pictures.as_ref(), before.as_ref(), &self.steps).map_err(E::from)?;
         self.groups.insert(group, shown);
         forget(&mut self.groups, group, KEPT_GROUPS);
         Ok(())
@@ -138,31 +124,27 @@ impl Player {
 
     /// Decodes the keyframe of a group and those that it rests on.
     fn link<E: From<CodecError>>(&mut self, group: usize, fetch: Fetch<'_, E>) -> Failure<E> {
-        let mut waiting: Vec<(usize, Vec<u8>)> = Vec::new();
+        let mut waiting: Vec<(usize, Payloads)> = Vec::new();
         let mut at = group;
         while !self.chains.contains_key(&at) {
             if waiting.len() > MAX_CONTINUED {
                 let text = format!("more than {MAX_CONTINUED} groups before group {group} without a base");
                 return Err(CodecError::Stream(text).into());
             }
-            let (bytes, _) = fetch(at)?;
-            let start = Parts::read(&self.header, &bytes).map_err(E::from)?.start;
-            waiting.push((at, bytes));
+            let payloads = fetch(at)?;
+            let start = Parts::read(&self.header, &payloads.0).map_err(E::from)?.start;
+            waiting.push((at, payloads));
             if start != Start::Continues || at == 0 {
                 break;
             }
             at -= 1;
         }
-        for (at, bytes) in waiting.into_iter().rev() {
+        for (at, (bytes, texture)) in waiting.into_iter().rev() {
             let parts = Parts::read(&self.header, &bytes).map_err(E::from)?;
             let before = at.checked_sub(1).and_then(|b| self.chains.get(&b));
-            let shot = match parts.groups_since_shot() {
-                Some(since) => usize::try_from(since).ok().and_then(|since| at.checked_sub(since)),
-                None => before.map(|b| b.shot),
-            };
-            let shot = shot.ok_or_else(|| CodecError::Stream(format!("group {at}: its shot began before the run")))?;
-            let chain = parts.decode_key(&self.steps, before.map(|b| &b.chain)).map_err(E::from)?;
-            self.chains.insert(at, Link { chain, shot });
+            let pictures = pictures(texture.as_deref(), &parts).map_err(E::from)?;
+            let link = Link::after(&parts, pictures.as_ref(), before, at, &self.steps).map_err(E::from)?;
+            self.chains.insert(at, link);
         }
         forget(&mut self.chains, group, KEPT_CHAINS);
         Ok(())
@@ -174,7 +156,7 @@ impl Player {
         around: &Around,
         time_nanos: u64,
         fetch: Fetch<'_, E>,
-    ) -> std::result::Result<TriMesh, E> {
+    ) -> std::result::Result<Surface, E> {
         let here = &around.shown[around.at];
         let next = around.shown.get(around.at + 1);
         if let Some(next) = next.filter(|n| n.shot != here.shot && time_nanos > here.stamp.time_nanos) {
@@ -186,13 +168,14 @@ impl Player {
             }
             let share = (time_nanos - start) as f64 / (next.stamp.time_nanos - start) as f64;
             if let Some((_, change)) = &self.change {
-                return Ok(change.at(share.min(1.0) as f32));
+                return Ok((change.at(share.min(1.0) as f32), None));
             }
         }
         let nodes = self.nodes(here.shot, fetch)?;
         let (same, at) = around.of_shot(here.shot);
         let positions_mm = positions_at(&same, at, time_nanos, &nodes);
-        Ok(TriMesh { positions_mm, triangles: nodes.triangles.clone(), uv: None })
+        let (uv, texture) = key_texture(&same, at, &nodes).map_err(E::from)?.unzip();
+        Ok((TriMesh { positions_mm, triangles: nodes.triangles.clone(), uv }, texture))
     }
 
     /// Connectivity of the base that a shot began with.
@@ -211,11 +194,17 @@ impl Player {
     }
 }
 
-impl Link {
-    fn shown(&self, stamp: Stamp) -> Shown {
-        let scan = Arc::clone(&self.chain.keys.scans[&stamp.tick]);
-        Shown { stamp, scan, model: Arc::clone(&self.chain.model), shot: self.shot }
-    }
+fn pictures<'a>(texture: Option<&'a [u8]>, parts: &Parts<'_>) -> Result<Option<Pictures<'a>>> {
+    texture.map(|t| Pictures::read(t, parts.stamps.len() - 1)).transpose()
+}
+
+/// Picture of the last keyframe among those decoded before a moment, or the first after it, and where nodes lie in it.
+fn key_texture(shown: &[&Shown], at: usize, nodes: &Connectivity) -> Result<Option<(Vec<[f32; 2]>, GreyPicture)>> {
+    let is_key = |s: &&&Shown| matches!(s.picture, Some(Picture::Key(_)));
+    let key = shown[..=at].iter().rev().find(is_key).or_else(|| shown[at..].iter().find(is_key));
+    let nearest = key.or_else(|| shown.get(at)).filter(|s| s.picture.is_some());
+    let Some(key) = nearest else { return Ok(None) };
+    Ok(key.texture()?.map(|picture| (key.uv(nodes), picture)))
 }
 
 /// Scans around a moment.
@@ -234,19 +223,19 @@ impl Around {
 }
 
 /// The nearest scan as it was seen, its surface moved along to the moment.
-fn show_scan(around: &Around, time_nanos: u64) -> TriMesh {
+fn show_scan(around: &Around, time_nanos: u64) -> Result<Surface> {
     let distance = |s: &Shown| s.stamp.time_nanos.abs_diff(time_nanos);
     let here = &around.shown[around.at];
     let nearest = around.shown.get(around.at + 1).filter(|n| distance(n) < distance(here)).unwrap_or(here);
     let (same, at) = around.of_shot(here.shot);
     if distance(nearest) == 0 || nearest.shot != here.shot || same.len() < 2 {
-        return as_scan(&nearest.model, &nearest.scan);
+        return Ok((as_scan(&nearest.model, &nearest.scan), nearest.texture()?));
     }
     let nodes = &nearest.model.connectivity;
     let moved = positions_at(&same, at, time_nanos, nodes);
     let still = nearest.positions_mm(nodes);
     let by: Vec<_> = moved.iter().zip(&still).map(|(a, b)| *a - *b).collect();
-    as_scan_at(&nearest.model, &nearest.scan, &by)
+    Ok((as_scan_at(&nearest.model, &nearest.scan, &by), nearest.texture()?))
 }
 
 /// Keeps the `most` entries nearest to `around`.

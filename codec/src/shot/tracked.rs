@@ -2,9 +2,12 @@
 
 use super::UNITS_PER_MM;
 use super::bisection::Connectivity;
+use super::link::{KeyPicture, blended};
 use super::model::Model;
 use super::seen_scan::SeenScan;
-use crate::Stamp;
+use super::textures::TextureChain;
+use super::view::{PX_BITS, Seen};
+use crate::{GreyPicture, Result, Stamp};
 use glam::Vec3;
 use std::sync::Arc;
 
@@ -19,9 +22,46 @@ pub struct Shown {
     pub model: Arc<Model>,
     /// Index of the group in which its shot began.
     pub shot: usize,
+    /// Its texture, not yet decoded between keyframes.
+    pub picture: Option<Picture>,
+}
+
+/// Texture of a scan.
+#[derive(Debug, Clone)]
+pub enum Picture {
+    /// Of a keyframe.
+    Key(Arc<TextureChain>),
+    /// Of a scan between: what is coded, and the keyframes that it is blended from.
+    Between(Arc<[u8]>, Arc<Vec<KeyPicture>>),
 }
 
 impl Shown {
+    /// The texture, of the window's size.
+    ///
+    /// # Errors
+    /// [`crate::CodecError::Payload`] for bytes that do not fit.
+    pub fn texture(&self) -> Result<Option<GreyPicture>> {
+        match &self.picture {
+            None => Ok(None),
+            Some(Picture::Key(chain)) => Ok(Some(chain.planes.to_grey())),
+            Some(Picture::Between(bytes, keys)) => {
+                blended(bytes, keys, (self.stamp.tick, &self.scan), &self.model).map(Some)
+            }
+        }
+    }
+
+    /// Texture coordinates of grid nodes in the scan's own picture.
+    pub fn uv(&self, nodes: &Connectivity) -> Vec<[f32; 2]> {
+        let view = self.model.view.moved(self.scan.window.offset);
+        let (width, height) = (self.scan.window.width as f32, self.scan.window.height as f32);
+        let uv = |p: &[i32; 3]| {
+            let seen = view.project(*p).unwrap_or(Seen::NOWHERE);
+            let [x, y] = [seen.x, seen.y].map(|v| v as f32 / f32::from(1_u16 << PX_BITS) + 0.5);
+            [x / width, 1.0 - y / height]
+        };
+        self.scan.motion.positions(&self.model.base, nodes).iter().map(uv).collect()
+    }
+
     /// Where the scan has grid nodes, mm.
     pub fn positions_mm(&self, nodes: &Connectivity) -> Vec<Vec3> {
         let units = self.scan.motion.positions(&self.model.base, nodes);

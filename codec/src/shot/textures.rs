@@ -1,0 +1,177 @@
+//! Texture payload of a group: the picture of its keyframe, and what the scans between lack when they are blended.
+
+use super::carry::carry;
+use super::model::Model;
+use super::seen_scan::SeenScan;
+use crate::bits::bytes::{ByteReader, put_varint};
+use crate::texture::coded::{Models, Options, Planes, Source, decode, encode};
+use crate::{GreyPicture, Result};
+use std::sync::Arc;
+
+/// Longest coded picture.
+const MAX_PICTURE: u64 = 1 << 24;
+/// Weights of the sources of a picture add up to this.
+const WHOLE: u64 = 256;
+
+/// Steps of coded pictures, 1/16 grey level.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TextureSteps {
+    /// Of a picture that stands alone.
+    pub alone: u16,
+    /// Of a keyframe that is predicted.
+    pub key: u16,
+    /// Of a scan between keyframes.
+    pub between: u16,
+}
+
+impl Default for TextureSteps {
+    fn default() -> Self {
+        Self { alone: 90, key: 160, between: 500 }
+    }
+}
+
+/// What later pictures are decoded from: the last key texture and what the coder has learned.
+#[derive(Debug, Clone)]
+pub struct TextureChain {
+    /// The picture, outside its mask continued.
+    pub planes: Arc<Planes>,
+    models: Models,
+}
+
+/// A keyframe as its picture is predicted: the scan and its texture.
+#[derive(Debug, Clone, Copy)]
+pub struct Textured<'a> {
+    /// The scan, against the model at hand.
+    pub scan: &'a SeenScan,
+    /// Its texture.
+    pub chain: &'a TextureChain,
+    /// Its tick.
+    pub tick: u64,
+}
+
+/// Codes the picture of a keyframe; `before` is the keyframe before, if decoding need not start here.
+pub fn encode_key(
+    picture: &GreyPicture,
+    scan: &SeenScan,
+    model: &Model,
+    before: Option<Textured<'_>>,
+    steps: TextureSteps,
+) -> (Vec<u8>, TextureChain) {
+    let places = before.map(|b| places(scan, model, &[b.scan]));
+    let sources = sources(before.as_slice(), places.as_deref().unwrap_or(&[]), &[WHOLE as u16]);
+    let mut models = before.map(|b| b.chain.models.clone()).unwrap_or_default();
+    let step = if before.is_some() { steps.key } else { steps.alone };
+    let planes = Planes::from_grey(picture);
+    let (bytes, decoded) = encode(&planes, &scan.mask, &sources, &mut models, &Options::with_step(step));
+    (bytes, TextureChain { planes: Arc::new(decoded.planes), models })
+}
+
+/// Reads the picture of a keyframe.
+///
+/// # Errors
+/// [`crate::CodecError::Payload`] for bytes that do not fit.
+pub fn decode_key(bytes: &[u8], scan: &SeenScan, model: &Model, before: Option<Textured<'_>>) -> Result<TextureChain> {
+    let places = before.map(|b| places(scan, model, &[b.scan]));
+    let sources = sources(before.as_slice(), places.as_deref().unwrap_or(&[]), &[WHOLE as u16]);
+    let mut models = before.map(|b| b.chain.models.clone()).unwrap_or_default();
+    let size = [scan.window.width, scan.window.height];
+    let decoded = decode(bytes, (1, size), &scan.mask, &sources, &mut models)?;
+    Ok(TextureChain { planes: Arc::new(decoded.planes), models })
+}
+
+/// Codes the picture of a scan between `keys`, the keyframes before and, where it shares the model, after.
+pub fn encode_between(
+    picture: &GreyPicture,
+    (tick, scan): (u64, &SeenScan),
+    model: &Model,
+    keys: &[Textured<'_>],
+    steps: TextureSteps,
+) -> Vec<u8> {
+    let references: Vec<&SeenScan> = keys.iter().map(|k| k.scan).collect();
+    let places = places(scan, model, &references);
+    let sources = sources(keys, &places, &weights(tick, keys));
+    let mut models = keys.last().map(|k| k.chain.models.clone()).unwrap_or_default();
+    let options = Options { refine: false, ..Options::with_step(steps.between) };
+    encode(&Planes::from_grey(picture), &scan.mask, &sources, &mut models, &options).0
+}
+
+/// Reads the picture of a scan between keyframes.
+///
+/// # Errors
+/// [`crate::CodecError::Payload`] for bytes that do not fit.
+pub fn decode_between(
+    bytes: &[u8],
+    (tick, scan): (u64, &SeenScan),
+    model: &Model,
+    keys: &[Textured<'_>],
+) -> Result<GreyPicture> {
+    let references: Vec<&SeenScan> = keys.iter().map(|k| k.scan).collect();
+    let places = places(scan, model, &references);
+    let sources = sources(keys, &places, &weights(tick, keys));
+    let mut models = keys.last().map(|k| k.chain.models.clone()).unwrap_or_default();
+    let size = [scan.window.width, scan.window.height];
+    Ok(decode(bytes, (1, size), &scan.mask, &sources, &mut models)?.planes.to_grey())
+}
+
+fn places(scan: &SeenScan, model: &Model, references: &[&SeenScan]) -> Vec<Vec<[i32; 2]>> {
+    let seen: Vec<_> = references.iter().map(|r| &r.drawn.seen[..]).collect();
+    carry(&scan.drawn.picture, &scan.drawn.seen, &model.connectivity, &seen).places
+}
+
+/// Nearer keyframes weigh more, linearly in ticks.
+fn weights(tick: u64, keys: &[Textured<'_>]) -> Vec<u16> {
+    match keys {
+        [before, after] => {
+            let length = (after.tick - before.tick).max(1);
+            let later = ((WHOLE * (tick - before.tick) + length / 2) / length) as u16;
+            vec![WHOLE as u16 - later, later]
+        }
+        _ => vec![WHOLE as u16; keys.len()],
+    }
+}
+
+fn sources<'a>(keys: &[Textured<'a>], places: &'a [Vec<[i32; 2]>], weights: &[u16]) -> Vec<Source<'a>> {
+    let source = |((key, places), weight): ((&Textured<'a>, &'a Vec<[i32; 2]>), &u16)| Source {
+        planes: &key.chain.planes,
+        places,
+        weight: *weight,
+    };
+    keys.iter().zip(places).zip(weights).map(source).collect()
+}
+
+/// The payload: the keyframe's picture, then those between in time order, empty where a scan has none.
+pub fn write(key: &[u8], between: &[Vec<u8>]) -> Vec<u8> {
+    let mut out = Vec::new();
+    for part in std::iter::once(key).chain(between.iter().map(|b| &b[..])) {
+        put_varint(&mut out, part.len() as u64);
+        out.extend_from_slice(part);
+    }
+    out
+}
+
+/// Coded pictures of a group.
+#[derive(Debug, Clone)]
+pub struct Pictures<'a> {
+    /// Of the keyframe.
+    pub key: &'a [u8],
+    /// Of the scans between, in time order; empty where there is none.
+    pub between: Vec<&'a [u8]>,
+}
+
+impl<'a> Pictures<'a> {
+    /// Takes the payload of a group with `between` scans between keyframes apart.
+    ///
+    /// # Errors
+    /// [`crate::CodecError::Payload`] at the first byte that does not follow FORMAT.md, "Textures of a group".
+    pub fn read(bytes: &'a [u8], between: usize) -> Result<Self> {
+        let mut reader = ByteReader::new(bytes, "textures");
+        let mut next = || {
+            let length = reader.varint_up_to(MAX_PICTURE, "length of a picture")? as usize;
+            reader.take(length)
+        };
+        let key = next()?;
+        let between = (0..between).map(|_| next()).collect::<Result<_>>()?;
+        reader.finish()?;
+        Ok(Self { key, between })
+    }
+}
