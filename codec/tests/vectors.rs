@@ -6,11 +6,12 @@ mod payloads;
 mod shot_run;
 
 use gv3_codec::seed::decode_group;
-use gv3_codec::shot::group::Chain;
+use gv3_codec::bits::range_coder::{BitModel, RangeDecoder};
+use gv3_codec::shot::link::Link;
 use gv3_codec::texture::decode_key_texture;
 use gv3_codec::{CodecError, Mode, StreamHeader};
 use jpeg_encoder::ColorType;
-use payloads::shots::{Shots, invalid_shots};
+use payloads::shots::{Shots, Textures, invalid_group_textures, invalid_shots};
 use payloads::*;
 use shot_run::RUN;
 use std::fmt::Write;
@@ -40,16 +41,19 @@ fn group_number(name: &str) -> usize {
     name.split('-').nth(1).and_then(|n| n.parse().ok()).unwrap_or_else(|| panic!("{name} has no number"))
 }
 
-/// States after the vectors of groups of shots.
-static CHAINS: LazyLock<Vec<Chain>> = LazyLock::new(|| {
-    let mut chains: Vec<Chain> = Vec::new();
-    for name in SHOTS {
-        let bytes = read_hex(&folder("vectors/valid").join(format!("{name}.hex")));
-        let (_, after) = shot_run::describe(&RUN.header, &bytes, chains.last()).unwrap();
-        chains.push(after);
+/// States after the vectors of groups of shots and their textures.
+static LINKS: LazyLock<Vec<Link>> = LazyLock::new(|| {
+    let mut links: Vec<Link> = Vec::new();
+    for (i, (group, textures)) in SHOTS.iter().zip(TEXTURES).enumerate() {
+        let [group, textures] = [*group, textures].map(|n| read_hex(&folder("vectors/valid").join(format!("{n}.hex"))));
+        let (_, after) = shot_run::describe_textures(&RUN.header, (i, &group), &textures, links.last()).unwrap();
+        links.push(after);
     }
-    chains
+    links
 });
+
+/// Vectors of the textures of these groups.
+const TEXTURES: [&str; 4] = ["textures-0-alone", "textures-1-predicted", "textures-2-alone", "textures-3-alone"];
 
 /// Vectors of groups of shots, each decoded after the one before.
 const SHOTS: [&str; 4] = ["shots-0-begins", "shots-1-continues", "shots-2-refreshes", "shots-3-begins"];
@@ -59,8 +63,14 @@ fn describe(name: &str, bytes: &[u8]) -> Result<String, CodecError> {
     let mut out = String::new();
     match kind_of(name) {
         "shots" => {
-            let before = group_number(name).checked_sub(1).map(|b| &CHAINS[b]);
+            let before = group_number(name).checked_sub(1).map(|b| &LINKS[b].chain);
             return shot_run::describe(&RUN.header, bytes, before).map(|(text, _)| text);
+        }
+        "textures" => {
+            let at = group_number(name);
+            let group = read_hex(&folder("vectors/valid").join(format!("{}.hex", SHOTS[at])));
+            let before = at.checked_sub(1).map(|b| &LINKS[b]);
+            return shot_run::describe_textures(&RUN.header, (at, &group), bytes, before).map(|(text, _)| text);
         }
         "stream_header" => {
             let h = StreamHeader::decode(bytes)?;
@@ -141,7 +151,8 @@ fn valid() -> Vec<(&'static str, Payload)> {
         ("texture-whole", texture([16, 16, 0, 0], jpeg(16, 16, ColorType::Luma, false))),
         ("texture-crop", texture([16, 16, 5, 7], jpeg(9, 8, ColorType::Luma, false))),
     ];
-    others.into_iter().chain(shots).collect()
+    let textures = TEXTURES.iter().enumerate().map(|(i, name)| (*name, Textures::of_run(i).payload()));
+    others.into_iter().chain(shots).chain(textures).collect()
 }
 
 /// Name, payload, what the error must say.
@@ -343,7 +354,7 @@ fn invalid_textures() -> Vec<Invalid> {
 
 fn invalid() -> Vec<Invalid> {
     let groups = [invalid_stamps(), invalid_connectivity(), invalid_attributes(), invalid_landmarks()].concat();
-    [invalid_headers(), groups, invalid_textures(), invalid_shots(&CHAINS)].concat()
+    [invalid_headers(), groups, invalid_textures(), invalid_shots(&LINKS[0].chain), invalid_group_textures()].concat()
 }
 
 fn write_hex(path: &Path, payload: &Payload) {
@@ -385,7 +396,16 @@ fn write_all() {
 fn write_seed(name: &str, payload: &Payload) {
     let path = folder("fuzz/corpus").join(kind_of(name)).join(name);
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    std::fs::write(path, bytes_of(payload)).unwrap();
+    // Those of runs begin with the number of the group in whose place they stand.
+    let number = ["shots", "textures"].contains(&kind_of(name)).then(|| group_number(name) as u8);
+    std::fs::write(path, number.into_iter().chain(bytes_of(payload)).collect::<Vec<u8>>()).unwrap();
+    // A keyframe's picture alone, as a grey one without sources, with one and with two.
+    if let Some((_, picture)) = payload.get(1).filter(|_| kind_of(name) == "textures") {
+        let path = folder("fuzz/corpus/coded_texture").join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        let kind = (group_number(name) as u8 % 3) << 1;
+        std::fs::write(path, [&[kind], &picture[..]].concat()).unwrap();
+    }
 }
 
 /// Name, bytes and companion text of every vector in a folder, in the order of names.
@@ -443,9 +463,11 @@ const FLIPS_OF_SHOTS: usize = 30;
 /// The encoder works in floating point, but in a fixed order and without functions that differ from machine to machine.
 #[test]
 fn the_encoder_makes_the_vectors_of_shots_in_every_build() {
-    let vectors = read_all("vectors/valid", "txt").into_iter().filter(|(name, ..)| kind_of(name) == "shots");
-    for ((name, vector, _), group) in vectors.zip(&RUN.groups) {
-        assert!(group.geometry == vector, "{name}: other bytes; if they are meant to be, write the vectors anew");
+    let vectors = read_all("vectors/valid", "txt");
+    let of = |kind| vectors.iter().filter(move |(name, ..)| kind_of(name) == kind);
+    for (((name, group, _), (_, textures, _)), made) in of("shots").zip(of("textures")).zip(&RUN.groups) {
+        let same = made.geometry == *group && made.texture.as_ref() == Some(textures);
+        assert!(same, "{name}: other bytes; if they are meant to be, write the vectors anew");
     }
 }
 
@@ -462,7 +484,7 @@ fn every_prefix_and_one_byte_more_fail_and_no_flip_panics() {
     for (name, bytes, _) in read_all("vectors/valid", "txt").into_iter().chain(read_all("vectors/invalid", "err")) {
         // A group of shots takes long to decode: some of its bits, at odd distances.
         let bits = 8 * bytes.len().min(4096);
-        let stride = if kind_of(&name) == "shots" { (bits / FLIPS_OF_SHOTS) | 1 } else { 1 };
+        let stride = if ["shots", "textures"].contains(&kind_of(&name)) { (bits / FLIPS_OF_SHOTS) | 1 } else { 1 };
         for i in (0..bits).step_by(stride) {
             let mut flipped = bytes.clone();
             flipped[i / 8] ^= 1 << (i % 8);
@@ -474,6 +496,15 @@ fn every_prefix_and_one_byte_more_fail_and_no_flip_panics() {
 #[test]
 fn the_page_shows_the_vectors() {
     let page = std::fs::read_to_string(folder("FORMAT.md")).unwrap();
+    let shots = std::fs::read_to_string(folder("FORMAT-shots.md")).unwrap();
+    for name in ["stream_header-shots", "shots-1-continues"] {
+        let vector = std::fs::read_to_string(folder("vectors/valid").join(format!("{name}.hex"))).unwrap();
+        assert!(shots.contains(&vector), "{name} is not on the page as it is");
+    }
+    let (mut reader, mut context) = (RangeDecoder::new(&[0x94], "example"), BitModel::default());
+    assert_eq!([0; 3].map(|_: u8| reader.bit(&mut context)), [true, false, false]);
+    assert_eq!(reader.raw(8), 0xa5);
+    reader.finish().unwrap();
     for name in ["stream_header-example", "group-coded-uv"] {
         let vector = std::fs::read_to_string(folder("vectors/valid").join(format!("{name}.hex"))).unwrap();
         assert!(page.contains(&vector), "{name} is not on the page as it is");

@@ -157,8 +157,8 @@ fn changed(i: usize, change: impl FnOnce(&mut Shots)) -> Payload {
 }
 
 /// Name (kind, number of the group in whose place it stands), payload, what the error must say.
-pub fn invalid_shots(chains: &[Chain]) -> Vec<(&'static str, Payload, &'static str)> {
-    [invalid_heads(), invalid_bases(), invalid_keys(chains)].concat()
+pub fn invalid_shots(first: &Chain) -> Vec<(&'static str, Payload, &'static str)> {
+    [invalid_heads(), invalid_bases(), invalid_keys(first)].concat()
 }
 
 fn invalid_heads() -> Vec<(&'static str, Payload, &'static str)> {
@@ -210,10 +210,10 @@ fn invalid_bases() -> Vec<(&'static str, Payload, &'static str)> {
     ]
 }
 
-fn invalid_keys(chains: &[Chain]) -> Vec<(&'static str, Payload, &'static str)> {
+fn invalid_keys(chain: &Chain) -> Vec<(&'static str, Payload, &'static str)> {
     let first = |s: Symbols| changed(0, |g| g.key = s.section());
     let sized = |width: u32, height: u32| Symbols::default().bits(&[true]).wide(12, &[width, height]);
-    let key = &chains[0].keys.scans[&chains[0].key_tick];
+    let key = &chain.keys.scans[&chain.key_tick];
     let placed = || sized(key.window.width as u32, key.window.height as u32);
     let still = || placed().wide(24, &[0, 0]);
     let posed = || (0..2).fold(still(), |s, _| s.numbers(8, &[0, 0, 0]));
@@ -237,25 +237,71 @@ fn invalid_keys(chains: &[Chain]) -> Vec<(&'static str, Payload, &'static str)> 
         ),
         (
             "shots-0-level",
-            first(unmoved().mask(&chains[0], &one).bits(&[true, true]).numbers(6, &[32_768])),
+            first(unmoved().mask(chain, &one).bits(&[true, true]).numbers(6, &[32_768])),
             "a transform coefficient out of range",
         ),
         (
             "shots-0-outlier-off",
-            first(unmoved().mask(&chains[0], &none).wide(24, &[1]).wide(26, &[5]).wide(24, &[0])),
+            first(unmoved().mask(chain, &none).wide(24, &[1]).wide(26, &[5]).wide(24, &[0])),
             "an outlier off the mask",
         ),
         (
             "shots-0-outlier-step",
-            first(unmoved().mask(&chains[0], &none).wide(24, &[1]).wide(26, &[0])),
+            first(unmoved().mask(chain, &none).wide(24, &[1]).wide(26, &[0])),
             "a step of outliers out of range",
         ),
         (
             "shots-0-key-end",
-            first(unmoved().mask(&chains[0], &none).wide(24, &[0]).bits(&[false; 3])),
+            first(unmoved().mask(chain, &none).wide(24, &[0]).bits(&[false; 3])),
             "keyframe, byte",
         ),
         ("shots-1-key-more", changed(1, |g| g.key = more), "bytes are left"),
         ("shots-1-between-cut", changed(1, |g| g.between.truncate(20)), "between, byte"),
+    ]
+}
+
+/// The textures of a group taken apart.
+#[derive(Clone)]
+pub struct Textures(pub Vec<Vec<u8>>);
+
+impl Textures {
+    /// Those of group `i` of the run: the keyframe's, then those between.
+    pub fn of_run(i: usize) -> Self {
+        let bytes = RUN.groups[i].texture.as_deref().unwrap();
+        let mut reader = ByteReader::new(bytes, "textures");
+        let mut pictures = Vec::new();
+        while reader.remaining() > 0 {
+            let length = reader.varint().unwrap() as usize;
+            pictures.push(reader.take(length).unwrap().to_vec());
+        }
+        Self(pictures)
+    }
+
+    /// Bytes with what they are.
+    pub fn payload(&self) -> Payload {
+        let labels = |i: usize| if i == 0 { ("length", "keyframe") } else { ("length", "scan between") };
+        let parts = self.0.iter().enumerate();
+        parts.flat_map(|(i, p)| [(labels(i).0, varint(p.len() as u64)), (labels(i).1, p.clone())]).collect()
+    }
+}
+
+/// As [`invalid_shots`], of textures.
+pub fn invalid_group_textures() -> Vec<(&'static str, Payload, &'static str)> {
+    let changed = |i: usize, change: &dyn Fn(&mut Vec<Vec<u8>>)| {
+        let mut textures = Textures::of_run(i);
+        change(&mut textures.0);
+        textures.payload()
+    };
+    let mut long = Textures::of_run(0).payload();
+    long[0].1 = varint((1 << 24) + 1);
+    vec![
+        ("textures-0-step-0", changed(0, &|t| t[0][0] = 0), "a step of 0"),
+        ("textures-0-step-above", changed(0, &|t| t[0][..2].copy_from_slice(&[1, 16])), "a step of 4097"),
+        ("textures-0-cut", changed(0, &|t| t[0].truncate(40)), "the picture"),
+        ("textures-0-more", changed(0, &|t| t[0].extend([0x55; 6])), "bytes are left"),
+        ("textures-0-two", changed(0, &|t| t.push(vec![1, 2])), "bytes too many"),
+        ("textures-1-few", changed(1, &|t| t.truncate(3)), "1 bytes wanted, 0 left"),
+        ("textures-0-long", long, "length of a picture is 16777217"),
+        ("textures-0-none", changed(0, &|t| t[0].clear()), "coded texture"),
     ]
 }

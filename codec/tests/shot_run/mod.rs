@@ -3,8 +3,10 @@
 use crate::bumpy_disk::{PERIOD_NANOS, Surface, scan};
 use gv3_codec::shot::encoder::ShotConfig;
 use gv3_codec::shot::group::{Chain, Parts};
+use gv3_codec::shot::link::Link;
 use gv3_codec::shot::model::Model;
 use gv3_codec::shot::seen_scan::SeenScan;
+use gv3_codec::shot::textures::Pictures;
 use gv3_codec::{CodecError, EncodedGroup, Encoder, EncoderConfig, Stamp, StreamHeader};
 use std::fmt::Write;
 use std::sync::LazyLock;
@@ -49,11 +51,32 @@ pub fn describe(header: &StreamHeader, bytes: &[u8], before: Option<&Chain>) -> 
     if parts.groups_since_shot().is_some() {
         describe_model(&mut out, &after.model);
     }
-    for (stamp, scan) in parts.decode_between(&steps, before, &after)? {
+    for (stamp, scan) in parts.decode_between(&steps, before, &after)?.scans {
         describe_scan(&mut out, stamp, &scan);
     }
     let key = parts.key_stamp();
     describe_scan(&mut out, key, &after.keys.scans[&key.tick]);
+    Ok((out, after))
+}
+
+/// Decodes the textures of a group after the group before it; returns what they hold as text, and the state after it.
+pub fn describe_textures(
+    header: &StreamHeader,
+    (index, group): (usize, &[u8]),
+    bytes: &[u8],
+    before: Option<&Link>,
+) -> Result<(String, Link), CodecError> {
+    let steps = header.steps()?;
+    let parts = Parts::read(header, group)?;
+    let pictures = Pictures::read(bytes, parts.stamps.len() - 1)?;
+    let after = Link::after(&parts, Some(&pictures), before, index, &steps)?;
+    let mut out = String::new();
+    for shown in after.show(&parts, Some(&pictures), before, &steps)? {
+        let picture = shown.texture()?.ok_or_else(|| CodecError::Stream("no picture".into()))?;
+        let levels = crc(picture.pixels.iter().map(|v| i32::from(*v)));
+        writeln!(out, "tick {} size_px {} {} grey {levels:08x}", shown.stamp.tick, picture.width_px, picture.height_px)
+            .unwrap();
+    }
     Ok((out, after))
 }
 
