@@ -4,7 +4,7 @@ use super::carry::carry;
 use super::model::Model;
 use super::seen_scan::SeenScan;
 use crate::bits::bytes::{ByteReader, put_varint};
-use crate::texture::coded::{Models, Options, Planes, Source, decode, encode};
+use crate::texture::coded::{Models, Options, Planes, Shifts, Source, decode, encode};
 use crate::{GreyPicture, Result};
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ pub struct TextureSteps {
 
 impl Default for TextureSteps {
     fn default() -> Self {
-        Self { alone: 90, key: 160, between: 500 }
+        Self { alone: 160, key: 160, between: 500 }
     }
 }
 
@@ -35,6 +35,8 @@ impl Default for TextureSteps {
 pub struct TextureChain {
     /// The picture, outside its mask continued.
     pub planes: Arc<Planes>,
+    /// How far the model had slid along the surface since the keyframe before, as its picture shows.
+    shifts: Shifts,
     models: Models,
 }
 
@@ -63,7 +65,7 @@ pub fn encode_key(
     let step = if before.is_some() { steps.key } else { steps.alone };
     let planes = Planes::from_grey(picture);
     let (bytes, decoded) = encode(&planes, &scan.mask, &sources, &mut models, &Options::with_step(step));
-    (bytes, TextureChain { planes: Arc::new(decoded.planes), models })
+    (bytes, TextureChain { planes: Arc::new(decoded.planes), shifts: decoded.shifts, models })
 }
 
 /// Reads the picture of a keyframe.
@@ -76,7 +78,7 @@ pub fn decode_key(bytes: &[u8], scan: &SeenScan, model: &Model, before: Option<T
     let mut models = before.map(|b| b.chain.models.clone()).unwrap_or_default();
     let size = [scan.window.width, scan.window.height];
     let decoded = decode(bytes, (1, size), &scan.mask, &sources, &mut models)?;
-    Ok(TextureChain { planes: Arc::new(decoded.planes), models })
+    Ok(TextureChain { planes: Arc::new(decoded.planes), shifts: decoded.shifts, models })
 }
 
 /// Codes the picture of a scan between `keys`, the keyframes before and, where it shares the model, after.
@@ -87,9 +89,9 @@ pub fn encode_between(
     keys: &[Textured<'_>],
     steps: TextureSteps,
 ) -> Vec<u8> {
-    let references: Vec<&SeenScan> = keys.iter().map(|k| k.scan).collect();
-    let places = places(scan, model, &references);
-    let sources = sources(keys, &places, &weights(tick, keys));
+    let weights = weights(tick, keys);
+    let places = places_between(scan, model, keys, &weights);
+    let sources = sources(keys, &places, &weights);
     let mut models = keys.last().map(|k| k.chain.models.clone()).unwrap_or_default();
     let options = Options { refine: false, ..Options::with_step(steps.between) };
     encode(&Planes::from_grey(picture), &scan.mask, &sources, &mut models, &options).0
@@ -105,9 +107,9 @@ pub fn decode_between(
     model: &Model,
     keys: &[Textured<'_>],
 ) -> Result<GreyPicture> {
-    let references: Vec<&SeenScan> = keys.iter().map(|k| k.scan).collect();
-    let places = places(scan, model, &references);
-    let sources = sources(keys, &places, &weights(tick, keys));
+    let weights = weights(tick, keys);
+    let places = places_between(scan, model, keys, &weights);
+    let sources = sources(keys, &places, &weights);
     let mut models = keys.last().map(|k| k.chain.models.clone()).unwrap_or_default();
     let size = [scan.window.width, scan.window.height];
     Ok(decode(bytes, (1, size), &scan.mask, &sources, &mut models)?.planes.to_grey())
@@ -116,6 +118,18 @@ pub fn decode_between(
 fn places(scan: &SeenScan, model: &Model, references: &[&SeenScan]) -> Vec<Vec<[i32; 2]>> {
     let seen: Vec<_> = references.iter().map(|r| &r.drawn.seen[..]).collect();
     carry(&scan.drawn.picture, &scan.drawn.seen, &model.connectivity, &seen).places
+}
+
+/// Places in the pictures of `keys`, the slide of the model from the one to the other taken as even in time.
+fn places_between(scan: &SeenScan, model: &Model, keys: &[Textured<'_>], weights: &[u16]) -> Vec<Vec<[i32; 2]>> {
+    let references: Vec<&SeenScan> = keys.iter().map(|k| k.scan).collect();
+    let mut places = places(scan, model, &references);
+    if let ([before, after], [_, end]) = (&mut places[..], keys) {
+        let at = after.clone();
+        end.chain.shifts.correct(&at, i32::from(weights[1]), before);
+        end.chain.shifts.correct(&at, -i32::from(weights[0]), after);
+    }
+    places
 }
 
 /// Nearer keyframes weigh more, linearly in ticks.

@@ -5,7 +5,7 @@ use super::encode::fps;
 use super::progress::{bar, human_bytes};
 use crate::files::{ScanFolder, write_whole};
 use crate::sweep::{
-    Coder, Curve, ErrorMapFile, Page, Point, ModeCoder, SweepInput, SweepReport, bd_rates, csv, html, run_point,
+    Coder, Curve, ErrorMapFile, ModeCoder, Page, Point, SweepInput, SweepReport, bd_rates, csv, html, run_point,
 };
 use crate::view::compare::png_bytes;
 use crate::view::plot::Series;

@@ -3,15 +3,15 @@
 pub mod bd_rate;
 mod html;
 mod input;
-mod report;
 mod own_modes;
+mod report;
 #[cfg(test)]
 pub(crate) mod test_scans;
 
 pub use html::{ErrorMapFile, Page, html};
 pub use input::SweepInput;
-pub use report::{BdRate, Curve, Point, SweepReport, bd_rates, csv};
 pub use own_modes::ModeCoder;
+pub use report::{BdRate, Curve, Point, SweepReport, bd_rates, csv};
 
 use crate::measure::{Decoded, MeasureError, measure};
 use crate::view::error_map::ErrorMap;

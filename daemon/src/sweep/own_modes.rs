@@ -43,8 +43,7 @@ impl ModeCoder {
             (format!("every {interval}, {mm} mm"), EncoderConfig::Seed(config))
         };
         let settings = intervals.iter().flat_map(|&i| tolerances_mm.iter().map(move |&t| setting(i, t))).collect();
-        let about =
-            "gv3 --mode seed: a sixth of the vertices at keyframes, natural spline between; container included";
+        let about = "gv3 --mode seed: a sixth of the vertices at keyframes, natural spline between; container included";
         Self { name: "seed", about, output: Output::Mesh, settings }
     }
 
