@@ -5,8 +5,8 @@ mod bumpy_disk;
 mod payloads;
 mod shot_run;
 
-use gv3_codec::seed::decode_group;
 use gv3_codec::bits::range_coder::{BitModel, RangeDecoder};
+use gv3_codec::seed::decode_group;
 use gv3_codec::shot::link::Link;
 use gv3_codec::texture::decode_key_texture;
 use gv3_codec::{CodecError, Mode, StreamHeader};

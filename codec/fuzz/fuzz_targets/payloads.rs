@@ -57,7 +57,10 @@ const RUN: [[&str; 2]; 4] = [
         include_str!("../../vectors/valid/shots-1-continues.hex"),
         include_str!("../../vectors/valid/textures-1-predicted.hex"),
     ],
-    [include_str!("../../vectors/valid/shots-2-refreshes.hex"), include_str!("../../vectors/valid/textures-2-alone.hex")],
+    [
+        include_str!("../../vectors/valid/shots-2-refreshes.hex"),
+        include_str!("../../vectors/valid/textures-2-alone.hex"),
+    ],
     [include_str!("../../vectors/valid/shots-3-begins.hex"), include_str!("../../vectors/valid/textures-3-alone.hex")],
 ];
 
@@ -73,14 +76,14 @@ static KNOWN: LazyLock<Vec<([Vec<u8>; 2], Link)>> = LazyLock::new(|| {
 });
 
 fn from_hex(text: &str) -> Vec<u8> {
-    let digits: Vec<u32> = text.lines().flat_map(|l| l.split('#').next().unwrap_or("").chars()).filter_map(|c| c.to_digit(16)).collect();
+    let digits: Vec<u32> =
+        text.lines().flat_map(|l| l.split('#').next().unwrap_or("").chars()).filter_map(|c| c.to_digit(16)).collect();
     digits.chunks_exact(2).map(|d| (d[0] << 4 | d[1]) as u8).collect()
 }
 
 fn decode(index: usize, group: &[u8], textures: Option<&[u8]>, before: Option<&Link>) -> Result<Link> {
     let steps = Steps::default();
-    let header =
-        StreamHeader { mode: Mode::Shots(steps), keyframe_interval: 4, scan_period_nanos: 33_333_333 };
+    let header = StreamHeader { mode: Mode::Shots(steps), keyframe_interval: 4, scan_period_nanos: 33_333_333 };
     let parts = Parts::read(&header, group)?;
     let pictures = textures.map(|t| Pictures::read(t, parts.stamps.len() - 1)).transpose()?;
     let after = Link::after(&parts, pictures.as_ref(), before, index, &steps)?;

@@ -166,6 +166,19 @@ mod tests {
     }
 
     #[test]
+    fn a_sliver_whose_corner_is_out_of_sight_stays_in_range() {
+        let at = |x: i32, y: i32| Seen { x, y, depth: 5 };
+        // A fiftieth of a pixel high, around the centre of pixel (3, 2).
+        let seen = vec![at(0, 510), at(2049, 514), at(768, 514)];
+        let connectivity = Connectivity { nodes: vec![0, 1, 2], triangles: vec![[0, 2, 1], [0, 1, 2]] };
+        let picture = drawn(&seen, &connectivity);
+        assert_eq!(picture.depth[2 * 20 + 3], 5);
+        let away = [Seen::NOWHERE, at(-(1 << 24), 1 << 24), at(1 << 24, 0)];
+        let carried = carry(&picture, &seen, &connectivity, &[&away]);
+        assert!(carried.places[0].iter().flatten().all(|v| v.abs() <= (1 << 28) + (20 << 8)));
+    }
+
+    #[test]
     fn an_empty_picture_carries_nothing() {
         let (seen, connectivity) = two_triangles();
         let carried = carry(&DepthPicture::new(4, 3), &seen, &connectivity, &[&seen]);

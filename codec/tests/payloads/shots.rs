@@ -250,11 +250,7 @@ fn invalid_keys(chain: &Chain) -> Vec<(&'static str, Payload, &'static str)> {
             first(unmoved().mask(chain, &none).wide(24, &[1]).wide(26, &[0])),
             "a step of outliers out of range",
         ),
-        (
-            "shots-0-key-end",
-            first(unmoved().mask(chain, &none).wide(24, &[0]).bits(&[false; 3])),
-            "keyframe, byte",
-        ),
+        ("shots-0-key-end", first(unmoved().mask(chain, &none).wide(24, &[0]).bits(&[false; 3])), "keyframe, byte"),
         ("shots-1-key-more", changed(1, |g| g.key = more), "bytes are left"),
         ("shots-1-between-cut", changed(1, |g| g.between.truncate(20)), "between, byte"),
     ]
