@@ -37,8 +37,8 @@ fn given_landmarks_match_a_surface_without_texture() {
     let picked: Vec<usize> = (1..=bare_scan(0).mesh.vertex_count()).step_by(29).collect();
     picked.iter().for_each(|v| text.push_str(&format!(",v{v},{v},,,\n")));
     place.write("landmarks.csv", text);
-    assert!(place.gv3("encode scans -o bare.gv3 --json").json()["landmarks"].is_null());
-    let report = place.gv3("encode scans -o given.gv3 --landmarks landmarks.csv --json").json();
+    assert!(place.gv3("encode scans -o bare.gv3 --mode seed --json").json()["landmarks"].is_null());
+    let report = place.gv3("encode scans -o given.gv3 --mode seed --landmarks landmarks.csv --json").json();
     let counts = &report["landmarks"];
     let number = |field: &str| counts[field].as_u64().unwrap();
     let count = picked.len() as u64;
@@ -62,8 +62,15 @@ fn landmarks_that_cannot_be_used_are_named_and_nothing_is_written() {
     ];
     for (text, message) in cases {
         place.write("landmarks.csv", text);
-        place.gv3("encode scans -o face.gv3 --landmarks landmarks.csv").failed(&["landmarks.csv", message]);
+        place.gv3("encode scans -o face.gv3 --mode seed --landmarks landmarks.csv").failed(&["landmarks.csv", message]);
         assert!(!place.path("face.gv3").exists());
     }
-    place.gv3("encode scans -o face.gv3 --landmarks none.csv").failed(&["none.csv", "cannot open"]);
+    place.gv3("encode scans -o face.gv3 --mode seed --landmarks none.csv").failed(&["none.csv", "cannot open"]);
+}
+
+#[test]
+fn landmarks_belong_to_the_seed_mode_and_the_default_one_says_so() {
+    let place = place_with_scans();
+    place.write("landmarks.csv", "scan,name,vertex,x,y,z\n,nose,5,,,\n");
+    place.gv3("encode scans -o face.gv3 --landmarks landmarks.csv").failed(&["--landmarks", "--mode seed"]);
 }

@@ -28,7 +28,7 @@ pub struct DiskMap {
     pub centre: u32,
     /// Border vertices, counter-clockwise.
     pub border: Vec<u32>,
-    /// Triangles of the embedded mesh that the map turns over; none on the scans tried.
+    /// Triangles of the embedded mesh that the map turns over.
     pub flips: usize,
 }
 

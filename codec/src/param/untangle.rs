@@ -12,14 +12,14 @@ use crate::Result;
 use crate::mesh::{TriMesh, cotangents};
 use glam::DVec2;
 
-/// Most passes; each takes one ring more around what is left. Scans took up to three.
+/// Most passes; each takes one ring more around what is left.
 const MOST_PASSES: usize = 8;
 
 /// Cotangent weights of one triangle are held within this.
 const WEIGHTS: (f64, f64) = (0.05, 1.5);
 
 /// Turns flipped triangles of the map `points` of `mesh` upright; vertices on the border stay on the circle. Returns the
-/// number that are left, 0 on the scans tried.
+/// number that are left.
 ///
 /// # Errors
 /// [`crate::CodecError::Mesh`] when a ring's system cannot be solved.

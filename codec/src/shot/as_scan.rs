@@ -4,7 +4,7 @@ use super::carry::nearest_drawn;
 use super::model::Model;
 use super::raster::NOTHING;
 use super::seen_scan::SeenScan;
-use super::view::{BackProjection, PX_BITS};
+use super::view::PX_BITS;
 use crate::mesh::TriMesh;
 use glam::{DVec2, Vec3};
 
@@ -16,18 +16,31 @@ const NONE: u32 = u32::MAX;
 pub fn as_scan(model: &Model, scan: &SeenScan) -> TriMesh {
     let back = model.view.moved(scan.window.offset).back_projection();
     let (width, height) = (scan.window.width, scan.window.height);
-    let mut vertex = vec![NONE; scan.mask.len()];
-    let mut mesh = TriMesh::default();
-    let mut uv = Vec::new();
-    for (i, v) in vertex.iter_mut().enumerate().filter(|(i, _)| scan.mask[*i]) {
-        *v = mesh.positions_mm.len() as u32;
-        mesh.positions_mm.push(position(&back, scan, i));
-        let (x, y) = ((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
-        uv.push([x / width as f32, 1.0 - y / height as f32]);
+    let count = scan.mask.iter().filter(|on| **on).count();
+    let mut positions_mm = Vec::with_capacity(count);
+    let mut uv = Vec::with_capacity(count);
+    let mut triangles = Vec::with_capacity(2 * count);
+    let columns: Vec<f32> = (0..width).map(|x| (x as f32 + 0.5) / width as f32).collect();
+    let nothing = Corner { vertex: NONE, depth: 0 };
+    let (mut above, mut below) = (vec![nothing; width], vec![nothing; width]);
+    for y in 0..height {
+        let row = back.row(y as f64);
+        let v = 1.0 - (y as f32 + 0.5) / height as f32;
+        let pixels = y * width..(y + 1) * width;
+        for ((x, corner), i) in below.iter_mut().enumerate().zip(pixels) {
+            *corner = Corner { vertex: NONE, depth: scan.depth(i) };
+            if scan.mask[i] {
+                corner.vertex = positions_mm.len() as u32;
+                positions_mm.push(row.point_mm(x as f64, f64::from(corner.depth)).as_vec3());
+                uv.push([columns[x], v]);
+            }
+        }
+        if y > 0 {
+            join(&above, &below, model.edge_step, &mut triangles);
+        }
+        std::mem::swap(&mut above, &mut below);
     }
-    mesh.uv = Some(uv);
-    mesh.triangles = triangles(scan, &vertex, model.edge_step);
-    mesh
+    TriMesh { positions_mm, triangles, uv: Some(uv) }
 }
 
 /// As [`as_scan`], its surface moved by what each vertex of the model moves, mm.
@@ -59,41 +72,38 @@ fn displacement(model: &Model, scan: &SeenScan, pixel: usize, by_mm: &[Vec3]) ->
     corners.iter().zip(weights).map(|(&k, w)| by_mm[k as usize] * w as f32).sum()
 }
 
-fn position(back: &BackProjection, scan: &SeenScan, i: usize) -> Vec3 {
-    let (x, y) = ((i % scan.window.width) as f64, (i / scan.window.width) as f64);
-    back.point_mm(x, y, f64::from(scan.depth(i))).as_vec3()
+/// A pixel: its vertex, and its depth in units.
+#[derive(Debug, Clone, Copy)]
+struct Corner {
+    vertex: u32,
+    depth: i32,
 }
 
-/// Two triangles a square of pixels, split along the diagonal whose ends differ less in depth; one where a corner is
-/// missing.
-fn triangles(scan: &SeenScan, vertex: &[u32], edge_step: i32) -> Vec<[u32; 3]> {
-    let width = scan.window.width;
-    let mut out = Vec::new();
-    let mut add = |corners: [usize; 3]| {
-        let t = corners.map(|c| vertex[c]);
-        let depth = corners.map(|c| scan.depth(c));
+/// Two triangles a square of pixels of two rows, split along the diagonal whose ends differ less in depth; one where a
+/// corner is missing.
+fn join(above: &[Corner], below: &[Corner], edge_step: i32, out: &mut Vec<[u32; 3]>) {
+    let mut add = |corners: [Corner; 3]| {
+        let depth = corners.map(|c| c.depth);
         let step = depth[0].max(depth[1]).max(depth[2]) - depth[0].min(depth[1]).min(depth[2]);
-        if !t.contains(&NONE) && step <= edge_step {
-            out.push(t);
+        if step <= edge_step {
+            out.push(corners.map(|c| c.vertex));
         }
     };
-    for y in 1..scan.window.height {
-        for x in 1..width {
-            let d = y * width + x;
-            // Rows go down: a b above c d; counter-clockwise as seen.
-            let (a, b, c) = (d - width - 1, d - width, d - 1);
-            let on = [a, b, c, d].map(|i| vertex[i] != NONE);
-            let falling = (scan.depth(a) - scan.depth(d)).abs() <= (scan.depth(b) - scan.depth(c)).abs();
-            match on {
-                [true, true, true, true] if falling => [[a, c, d], [a, d, b]].into_iter().for_each(&mut add),
-                [true, true, true, true] => [[a, c, b], [b, c, d]].into_iter().for_each(&mut add),
-                [true, true, true, false] => add([a, c, b]),
-                [true, true, false, true] => add([a, d, b]),
-                [true, false, true, true] => add([a, c, d]),
-                [false, true, true, true] => add([b, c, d]),
-                _ => {}
+    for (up, down) in above.windows(2).zip(below.windows(2)) {
+        // Rows go down: a b above c d; counter-clockwise as seen.
+        let (a, b, c, d) = (up[0], up[1], down[0], down[1]);
+        match [a, b, c, d].map(|k| k.vertex != NONE) {
+            [true, true, true, true] => {
+                let falling = (a.depth - d.depth).abs() <= (b.depth - c.depth).abs();
+                let (first, second) = if falling { ([a, c, d], [a, d, b]) } else { ([a, c, b], [b, c, d]) };
+                add(first);
+                add(second);
             }
+            [true, true, true, false] => add([a, c, b]),
+            [true, true, false, true] => add([a, d, b]),
+            [true, false, true, true] => add([a, c, d]),
+            [false, true, true, true] => add([b, c, d]),
+            _ => {}
         }
     }
-    out
 }

@@ -4,6 +4,7 @@
 
 use super::bisection::Connectivity;
 use super::raster::{DepthPicture, NOTHING};
+use super::reciprocal::Reciprocal;
 use super::view::{PX_BITS, Seen};
 
 /// Fraction bits of a gradient.
@@ -24,30 +25,89 @@ pub struct Carried {
 
 /// Carries the pixels of `picture`, drawn from `seen`, into references that saw the same vertices at `references`.
 pub fn carry(picture: &DepthPicture, seen: &[Seen], connectivity: &Connectivity, references: &[&[Seen]]) -> Carried {
-    let count = picture.depth.len();
-    let mut carried = Carried { depth: picture.depth.clone(), places: vec![vec![NOWHERE; count]; references.len()] };
-    let mut maps = vec![Affine::default(); references.len()];
-    let mut known = u32::MAX;
-    for i in 0..count {
-        if picture.depth[i] == NOTHING {
-            continue;
-        }
-        let triangle = picture.triangle[i];
-        if triangle != known {
-            known = triangle;
-            let corners = connectivity.triangles[triangle as usize];
-            let here = corners.map(|v| seen[v as usize]);
-            for (map, reference) in maps.iter_mut().zip(references) {
-                *map = Affine::new(here, corners.map(|v| reference[v as usize]));
-            }
-        }
-        let pixel = [((i % picture.width) as i32) << PX_BITS, ((i / picture.width) as i32) << PX_BITS];
-        for (places, map) in carried.places.iter_mut().zip(&maps) {
-            places[i] = map.apply(pixel);
-        }
+    let depth = picture.depth.clone();
+    if depth.iter().all(|d| *d == NOTHING) {
+        return Carried { places: vec![vec![NOWHERE; depth.len()]; references.len()], depth };
+    }
+    let mut carried = Carried { places: vec![vec![[0; 2]; depth.len()]; references.len()], depth };
+    if !references.is_empty() {
+        carry_drawn(picture, seen, connectivity, references, &mut carried.places);
     }
     continue_beside(&mut carried, picture.width);
     carried
+}
+
+/// The pixels on the surface. A triangle's maps are costly and its pixels few: triangle by triangle, not pixel by pixel.
+fn carry_drawn(
+    picture: &DepthPicture,
+    seen: &[Seen],
+    connectivity: &Connectivity,
+    references: &[&[Seen]],
+    places: &mut [Vec<[i32; 2]>],
+) {
+    let mut maps = vec![Affine::default(); references.len()];
+    // Only triangles that were drawn: their extents are bounded.
+    let drawn = picture.triangle.iter().max().map_or(0, |last| *last as usize + 1);
+    for (index, corners) in connectivity.triangles.iter().enumerate().take(drawn) {
+        let here = corners.map(|v| seen[v as usize]);
+        let [e1, e2] = edges(here);
+        if e1[0] * e2[1] >= e1[1] * e2[0] {
+            continue;
+        }
+        let Some([columns, rows]) = picture.around(here) else { continue };
+        let mut is_mapped = false;
+        for y in rows {
+            for x in columns.clone() {
+                let i = y as usize * picture.width + x as usize;
+                if picture.triangle[i] != index as u32 || picture.depth[i] == NOTHING {
+                    continue;
+                }
+                if !is_mapped {
+                    is_mapped = true;
+                    let frame = Frame::new(here);
+                    for (map, reference) in maps.iter_mut().zip(references) {
+                        *map = frame.to(corners.map(|v| reference[v as usize]));
+                    }
+                }
+                for (places, map) in places.iter_mut().zip(&maps) {
+                    places[i] = map.apply([x << PX_BITS, y << PX_BITS]);
+                }
+            }
+        }
+    }
+}
+
+/// A triangle's edges from its first corner, ready to be mapped.
+struct Frame {
+    origin: [i32; 2],
+    edges: [[i64; 2]; 2],
+    /// By the magnitude of the edges' determinant, and its sign; none for a triangle without area.
+    by: Option<(Reciprocal, i64)>,
+}
+
+impl Frame {
+    fn new(here: [Seen; 3]) -> Self {
+        let [e1, e2] = edges(here);
+        let determinant = e1[0] * e2[1] - e1[1] * e2[0];
+        let by = (determinant != 0).then(|| (Reciprocal::new(determinant.abs()), determinant.signum()));
+        Self { origin: [here[0].x, here[0].y], edges: [e1, e2], by }
+    }
+
+    /// The map that takes the corners to `there`.
+    fn to(&self, there: [Seen; 3]) -> Affine {
+        let ([e1, e2], [d1, d2]) = (self.edges, edges(there));
+        let gradient = [0, 1].map(|k| {
+            let along = [d1[k] * e2[1] - d2[k] * e1[1], d2[k] * e1[0] - d1[k] * e2[0]];
+            let slope = |n: i64| self.by.map_or(0, |(by, sign)| sign * by.truncated(n << GRADIENT_BITS));
+            along.map(|n| slope(n).clamp(-MAX_GRADIENT, MAX_GRADIENT))
+        });
+        Affine { from: self.origin, to: [there[0].x, there[0].y], gradient }
+    }
+}
+
+/// Both edges from a triangle's first corner.
+fn edges([a, b, c]: [Seen; 3]) -> [[i64; 2]; 2] {
+    [b, c].map(|s| [i64::from(s.x) - i64::from(a.x), i64::from(s.y) - i64::from(a.y)])
 }
 
 /// The affine map that takes a triangle's corners to where a reference sees them.
@@ -60,37 +120,30 @@ struct Affine {
 }
 
 impl Affine {
-    fn new(here: [Seen; 3], there: [Seen; 3]) -> Self {
-        let [a, b, c] = here.map(|s| [i64::from(s.x), i64::from(s.y)]);
-        let (e1, e2) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
-        let determinant = e1[0] * e2[1] - e1[1] * e2[0];
-        let [ta, tb, tc] = there.map(|s| [i64::from(s.x), i64::from(s.y)]);
-        let gradient = [0, 1].map(|k| {
-            let (d1, d2) = (tb[k] - ta[k], tc[k] - ta[k]);
-            let along = [d1 * e2[1] - d2 * e1[1], d2 * e1[0] - d1 * e2[0]];
-            let slope = |n: i64| ((n << GRADIENT_BITS) / determinant).clamp(-MAX_GRADIENT, MAX_GRADIENT);
-            along.map(|n| if determinant == 0 { 0 } else { slope(n) })
-        });
-        Self { from: [here[0].x, here[0].y], to: [there[0].x, there[0].y], gradient }
-    }
-
     fn apply(&self, p: [i32; 2]) -> [i32; 2] {
-        let d = [0, 1].map(|k| i64::from(p[k]) - i64::from(self.from[k]));
-        [0, 1].map(|k| {
-            let moved = (self.gradient[k][0] * d[0] + self.gradient[k][1] * d[1]) >> GRADIENT_BITS;
-            (i64::from(self.to[k]) + moved).clamp(-(1 << 28), 1 << 28) as i32
-        })
+        let d = [i64::from(p[0]) - i64::from(self.from[0]), i64::from(p[1]) - i64::from(self.from[1])];
+        let along = |k: usize| {
+            // Maps of slivers may wrap around: they are cut off below.
+            let [gx, gy] = self.gradient[k];
+            let moved = gx.wrapping_mul(d[0]).wrapping_add(gy.wrapping_mul(d[1])) >> GRADIENT_BITS;
+            i64::from(self.to[k]).wrapping_add(moved).clamp(-(1 << 28), 1 << 28) as i32
+        };
+        [along(0), along(1)]
     }
 }
 
 /// Each pixel beside the surface takes over from its nearest one on it.
 fn continue_beside(carried: &mut Carried, width: usize) {
     let nearest = nearest_drawn(&carried.depth, width);
-    for (i, j) in nearest.into_iter().enumerate().map(|(i, j)| (i, j as usize)).filter(|(i, j)| i != j) {
-        carried.depth[i] = carried.depth[j];
-        let offset = [(i % width) as i32 - (j % width) as i32, (i / width) as i32 - (j / width) as i32];
-        for places in &mut carried.places {
-            if places[j] != NOWHERE {
+    for (y, row) in nearest.chunks_exact(width).enumerate() {
+        for (x, &j) in row.iter().enumerate() {
+            let (i, j) = (y * width + x, j as usize);
+            if i == j {
+                continue;
+            }
+            carried.depth[i] = carried.depth[j];
+            let offset = [x as i32 - (j % width) as i32, y as i32 - (j / width) as i32];
+            for places in &mut carried.places {
                 let [x, y] = places[j];
                 places[i] = [x + (offset[0] << PX_BITS), y + (offset[1] << PX_BITS)];
             }
@@ -101,28 +154,34 @@ fn continue_beside(carried: &mut Carried, width: usize) {
 /// For each pixel the index of the one nearest to it, in city-block steps, whose depth is known; itself where there is
 /// none. Two passes of a distance transform (Rosenfeld, Pfaltz: Sequential operations in digital picture processing, 1966).
 pub fn nearest_drawn(depth: &[i32], width: usize) -> Vec<u32> {
-    let count = depth.len();
     let mut steps: Vec<u32> = depth.iter().map(|d| if *d == NOTHING { u32::MAX - 1 } else { 0 }).collect();
-    let mut nearest: Vec<u32> = (0..count as u32).collect();
+    let mut nearest: Vec<u32> = (0..depth.len() as u32).collect();
     let mut take = |i: usize, j: usize| {
-        if steps[j] + 1 < steps[i] {
+        if steps[i] > 0 && steps[j] + 1 < steps[i] {
             (steps[i], nearest[i]) = (steps[j] + 1, nearest[j]);
         }
     };
-    for i in 0..count {
-        if i % width > 0 {
-            take(i, i - 1);
-        }
-        if i >= width {
-            take(i, i - width);
+    let height = depth.len() / width.max(1);
+    for y in 0..height {
+        for x in 0..width {
+            let i = y * width + x;
+            if x > 0 {
+                take(i, i - 1);
+            }
+            if y > 0 {
+                take(i, i - width);
+            }
         }
     }
-    for i in (0..count).rev() {
-        if i % width + 1 < width {
-            take(i, i + 1);
-        }
-        if i + width < count {
-            take(i, i + width);
+    for y in (0..height).rev() {
+        for x in (0..width).rev() {
+            let i = y * width + x;
+            if x + 1 < width {
+                take(i, i + 1);
+            }
+            if y + 1 < height {
+                take(i, i + width);
+            }
         }
     }
     nearest

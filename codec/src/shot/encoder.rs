@@ -3,6 +3,7 @@
 use super::anchors::{Anchors, TrackedPixel};
 use super::base_fit::{BaseOptions, fit_base, refit_base};
 use super::camera::ShotCamera;
+use super::crop::Crop;
 use super::group::{self, Chain, MAX_GROUP_PIXELS, MAX_SCANS, NewBase, Start};
 use super::model::{Model, Window};
 use super::motion::Motion;
@@ -123,6 +124,7 @@ struct Pending {
 /// Encoder of one run.
 pub struct Encoder {
     config: ShotConfig,
+    crop: Crop,
     camera: Option<ShotCamera>,
     chain: Option<Chain>,
     texture: Option<TextureChain>,
@@ -157,6 +159,7 @@ impl Encoder {
         config.header.validate()?;
         Ok(Self {
             config,
+            crop: Crop::default(),
             camera: None,
             chain: None,
             texture: None,
@@ -186,6 +189,7 @@ impl Encoder {
             return Err(CodecError::Stream(format!("scan at tick {} does not follow the one before it", scan.tick)));
         }
         scan.mesh.validate()?;
+        let scan = self.crop.apply(scan);
         let image = self.camera.and_then(|c| Some(ScanImage::new(&scan, &c.view, c.window(&scan)?)));
         let due = image.is_none() || stamp.tick >= self.next_key_tick || self.is_full();
         let tracked = self.track(&scan, image.as_ref(), due);

@@ -29,7 +29,7 @@ pub struct Equation {
 pub struct LevelSystem {
     /// Nodes a side.
     pub side: usize,
-    /// For each node 7x7 blocks: how a node beside pulls at it.
+    /// For each node 7x7 blocks, symmetric, their upper triangles: how a node beside pulls at it.
     blocks: Vec<[f32; 6]>,
 }
 
@@ -43,31 +43,66 @@ impl LevelSystem {
         &self.blocks[(node * STENCIL + dy) * STENCIL + dx]
     }
 
-    /// Adds `weight * direction directionᵀ` for all pairs of the 16 nodes around a point.
-    pub fn add(&mut self, e: &Equation) {
-        let (sx, wx) = self.axis(e.grid[0]);
-        let (sy, wy) = self.axis(e.grid[1]);
-        let d = e.direction * e.weight;
-        let outer = [
-            d.x * e.direction.x,
-            d.x * e.direction.y,
-            d.x * e.direction.z,
-            d.y * e.direction.y,
-            d.y * e.direction.z,
-            d.z * e.direction.z,
-        ]
-        .map(|v| v as f32);
+    /// Adds `weight * direction directionᵀ` of each equation for all pairs of the 16 nodes around its point. Equations that
+    /// follow one another on a grid row within a span share their weights across it: their sums along it are taken first.
+    fn add_all(&mut self, equations: &[Equation]) {
+        let mut rest = equations;
+        while let Some(first) = rest.first() {
+            let (sx, _) = self.axis(first.grid[0]);
+            let is_beside = |e: &Equation| e.grid[1] == first.grid[1] && self.axis(e.grid[0]).0 == sx;
+            let count = rest.iter().position(|e| !is_beside(e)).unwrap_or(rest.len());
+            let mut along = [[[0.0; 6]; 4]; 4];
+            for e in &rest[..count] {
+                self.add_along(e, &mut along);
+            }
+            let (sy, wy) = self.axis(first.grid[1]);
+            self.add_run(sy * self.side + sx, wy.map(|w| w as f32), &along);
+            rest = &rest[count..];
+        }
+    }
+
+    /// Adds an equation to the sums of a run, weighted along the row alone, pairs `i <= ii`.
+    fn add_along(&self, e: &Equation, along: &mut [[[f32; 6]; 4]; 4]) {
+        let (_, wx) = self.axis(e.grid[0]);
+        let (d, u) = (e.direction * e.weight, e.direction);
+        let outer = [d.x * u.x, d.x * u.y, d.x * u.z, d.y * u.y, d.y * u.z, d.z * u.z].map(|v| v as f32);
+        for (i, a) in wx.iter().enumerate() {
+            for (ii, b) in wx.iter().enumerate().skip(i) {
+                let w = (a * b) as f32;
+                for (sum, o) in along[i][ii].iter_mut().zip(&outer) {
+                    *sum += o * w;
+                }
+            }
+        }
+    }
+
+    /// Adds a run to the blocks of its 16 nodes, the first of them `corner`; of each pair of nodes to the earlier one.
+    fn add_run(&mut self, corner: usize, wy: [f32; 4], along: &[[[f32; 6]; 4]; 4]) {
         for (j, i) in (0..4).flat_map(|j| (0..4).map(move |i| (j, i))) {
-            let a = (wx[i] * wy[j]) as f32;
-            let scaled = outer.map(|o| o * a);
-            let node = (sy + j) * self.side + sx + i;
-            for (jj, wy) in wy.iter().enumerate() {
+            let node = corner + j * self.side + i;
+            for (jj, b) in wy.iter().enumerate().skip(j) {
+                let w = wy[j] * b;
                 let row = (node * STENCIL + jj + 3 - j) * STENCIL + 3 - i;
-                for (ii, wx) in wx.iter().enumerate() {
-                    let b = (wx * wy) as f32;
-                    for (block, o) in self.blocks[row + ii].iter_mut().zip(&scaled) {
-                        *block += o * b;
+                let first = if jj == j { i } else { 0 };
+                for ii in first..4 {
+                    for (block, sum) in self.blocks[row + ii].iter_mut().zip(&along[i.min(ii)][i.max(ii)]) {
+                        *block += sum * w;
                     }
+                }
+            }
+        }
+    }
+
+    /// Gives each pair's later node what its earlier one has.
+    fn mirror(&mut self) {
+        const LAST: usize = STENCIL * STENCIL - 1;
+        for node in 0..self.side * self.side {
+            for k in LAST / 2 + 1..=LAST {
+                let (dx, dy) = (k % STENCIL, k / STENCIL);
+                // Beyond the lattice on either side there is no node; what wraps around holds zeros.
+                let other = node + dy * self.side + dx - (3 * self.side + 3);
+                if other < self.side * self.side {
+                    self.blocks[other * STENCIL * STENCIL + LAST - k] = self.blocks[node * STENCIL * STENCIL + k];
                 }
             }
         }
@@ -189,7 +224,8 @@ fn spread(k: usize, mut f: impl FnMut(usize, f64)) {
 pub fn systems(equations: &[Equation], bending: f32, pull: f32) -> [LevelSystem; 3] {
     LEVEL_SIDES.map(|side| {
         let mut system = LevelSystem::new(side);
-        equations.iter().for_each(|e| system.add(e));
+        system.add_all(equations);
+        system.mirror();
         system.add_bending(bending);
         system.add_pull(pull);
         system

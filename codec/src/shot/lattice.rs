@@ -71,30 +71,60 @@ fn refined(k: usize, at: impl Fn(usize) -> [i32; 3]) -> [i32; 3] {
 /// # Panics
 /// When `nodes` is not [`FINE_SIDE`] squared.
 pub fn evaluate(nodes: &[[i32; 3]]) -> Vec<[i32; 3]> {
-    assert_eq!(nodes.len(), FINE_SIDE * FINE_SIDE, "the finest level");
-    let mut wide = vec![[0; 3]; FINE_SIDE * GRID_SIDE];
-    for (row, out) in nodes.chunks_exact(FINE_SIDE).zip(wide.chunks_exact_mut(GRID_SIDE)) {
-        for (x, out) in out.iter_mut().enumerate() {
-            let (span, phase) = span_of(x);
-            *out = blend(&WEIGHTS[phase], [row[span], row[span + 1], row[span + 2], row[span + 3]]);
-        }
-    }
-    let mut grid = vec![[0; 3]; GRID_SIDE * GRID_SIDE];
-    for (y, out) in grid.chunks_exact_mut(GRID_SIDE).enumerate() {
-        let (span, phase) = span_of(y);
-        let row = |i: usize| &wide[(span + i) * GRID_SIDE..(span + i + 1) * GRID_SIDE];
-        let (a, b, c, d) = (row(0), row(1), row(2), row(3));
-        for (x, out) in out.iter_mut().enumerate() {
-            *out = blend(&WEIGHTS[phase], [a[x], b[x], c[x], d[x]]);
-        }
-    }
-    grid
+    let across = Across::new(nodes);
+    (0..GRID_SIDE).flat_map(|y| (0..GRID_SIDE).map(move |x| [x, y])).map(|[x, y]| across.at(x, y)).collect()
 }
 
-fn blend(w: &[i32; 4], c: [[i32; 3]; 4]) -> [i32; 3] {
+/// The finest level evaluated along its rows: what is left to do for a value is one column of four.
+#[derive(Debug)]
+pub struct Across {
+    rows: Vec<[i32; 3]>,
+    /// No weighted sum leaves 32 bits.
+    is_narrow: bool,
+}
+
+/// Values up to this have weighted sums within 32 bits.
+const NARROW: u32 = (i32::MAX as u32 - WEIGHT_SUM as u32) / WEIGHT_SUM as u32;
+
+impl Across {
+    /// # Panics
+    /// When `nodes` is not [`FINE_SIDE`] squared.
+    pub fn new(nodes: &[[i32; 3]]) -> Self {
+        assert_eq!(nodes.len(), FINE_SIDE * FINE_SIDE, "the finest level");
+        let is_narrow = nodes.iter().flatten().all(|v| v.unsigned_abs() <= NARROW);
+        let mut rows = Vec::with_capacity(FINE_SIDE * GRID_SIDE);
+        for row in nodes.chunks_exact(FINE_SIDE) {
+            for x in 0..GRID_SIDE {
+                let (span, phase) = span_of(x);
+                rows.push(blend(
+                    &WEIGHTS[phase],
+                    [&row[span], &row[span + 1], &row[span + 2], &row[span + 3]],
+                    is_narrow,
+                ));
+            }
+        }
+        Self { rows, is_narrow }
+    }
+
+    /// Value at a grid node, rounded to the nearest.
+    pub fn at(&self, x: usize, y: usize) -> [i32; 3] {
+        let (span, phase) = span_of(y);
+        let row = |i: usize| &self.rows[(span + i) * GRID_SIDE + x];
+        blend(&WEIGHTS[phase], [row(0), row(1), row(2), row(3)], self.is_narrow)
+    }
+}
+
+fn blend(w: &[i32; 4], [a, b, c, d]: [&[i32; 3]; 4], is_narrow: bool) -> [i32; 3] {
+    if is_narrow {
+        let value = |j: usize| {
+            let sum = w[0] * a[j] + w[1] * b[j] + w[2] * c[j] + w[3] * d[j];
+            (sum + WEIGHT_SUM as i32 / 2).div_euclid(WEIGHT_SUM as i32)
+        };
+        return [value(0), value(1), value(2)];
+    }
     [0, 1, 2].map(|j| {
-        let sum: i64 = (0..4).map(|i| i64::from(w[i]) * i64::from(c[i][j])).sum();
-        ((sum + WEIGHT_SUM / 2).div_euclid(WEIGHT_SUM)) as i32
+        let terms = [a, b, c, d].into_iter().zip(w).map(|(c, w)| i64::from(*w) * i64::from(c[j]));
+        (terms.sum::<i64>() + WEIGHT_SUM / 2).div_euclid(WEIGHT_SUM) as i32
     })
 }
 
@@ -140,5 +170,20 @@ mod tests {
         for (i, v) in values.iter().enumerate() {
             assert_eq!(*v, [5, 8 + (i % GRID_SIDE) as i32, -16 - 2 * (i / GRID_SIDE) as i32]);
         }
+    }
+
+    #[test]
+    fn wide_and_narrow_sums_agree() {
+        let nodes: Nodes =
+            (0..(FINE_SIDE * FINE_SIDE) as i32).map(|i| [i * 7919 % 600_001 - 300_000, -i, i * 97 - 9000]).collect();
+        let narrow = Across::new(&nodes);
+        assert!(narrow.is_narrow);
+        let wide = Across { rows: narrow.rows.clone(), is_narrow: false };
+        assert!(
+            (0..GRID_SIDE * GRID_SIDE)
+                .all(|i| narrow.at(i % GRID_SIDE, i / GRID_SIDE) == wide.at(i % GRID_SIDE, i / GRID_SIDE))
+        );
+        let far: Nodes = nodes.iter().map(|n| n.map(|v| v * 100)).collect();
+        assert!(!Across::new(&far).is_narrow);
     }
 }

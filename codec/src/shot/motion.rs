@@ -2,8 +2,9 @@
 
 use super::base::Base;
 use super::bisection::Connectivity;
-use super::lattice::{FINE_SIDE, GRID_SIDE, Nodes, evaluate};
+use super::lattice::{Across, FINE_SIDE, GRID_SIDE, Nodes};
 use super::pose::{MAX_SHIFT, MAX_TURN, Pose};
+use super::reciprocal::Reciprocal;
 
 /// Fraction bits of lattice nodes below a unit.
 pub const NODE_BITS: u32 = 4;
@@ -45,14 +46,14 @@ impl Motion {
 
     /// The base's vertices moved, units.
     pub fn positions(&self, base: &Base, connectivity: &Connectivity) -> Vec<[i32; 3]> {
-        let shift = evaluate(&self.nodes);
+        let shift = Across::new(&self.nodes);
         let pose = self.pose.matrix();
         let half = 1 << (NODE_BITS - 1);
         let moved = |&n: &u32| {
-            let (p, d) = (base.positions[n as usize], shift[n as usize]);
-            pose.apply([0, 1, 2].map(|c| p[c] + ((d[c] + half) >> NODE_BITS)))
+            let (p, d) = (base.positions[n as usize], shift.at(n as usize % GRID_SIDE, n as usize / GRID_SIDE));
+            let along = |c: usize| p[c] + ((d[c] + half) >> NODE_BITS);
+            pose.apply([along(0), along(1), along(2)])
         };
-        debug_assert_eq!(shift.len(), GRID_SIDE * GRID_SIDE);
         connectivity.nodes.iter().map(moved).collect()
     }
 }
@@ -63,7 +64,14 @@ impl Motion {
 /// When there is not one motion a weight, or the denominator is not positive.
 pub fn weighted(motions: &[&Motion], weights: &[i64], denominator: i64) -> Motion {
     assert!(motions.len() == weights.len() && denominator > 0, "a weight a motion over a positive denominator");
+    // Values within 2^27 (pose and nodes of any motion): sums of 64 bits hold small weights, which all but far ones are.
+    let is_small = weights.iter().all(|w| w.unsigned_abs() < 1 << 32) && weights.len() <= 4 && denominator < 1 << 32;
+    let by = Reciprocal::new(denominator);
     let mean = |values: &mut dyn Iterator<Item = i32>| {
+        if is_small {
+            let sum: i64 = values.zip(weights).map(|(v, w)| i64::from(v) * w).sum();
+            return by.floor(sum + denominator / 2).clamp(-i64::from(MAX_MEAN), i64::from(MAX_MEAN)) as i32;
+        }
         let sum: i128 = values.zip(weights).map(|(v, w)| i128::from(v) * i128::from(*w)).sum();
         let mean = (sum + i128::from(denominator) / 2).div_euclid(i128::from(denominator));
         mean.clamp(-i128::from(MAX_MEAN), i128::from(MAX_MEAN)) as i32

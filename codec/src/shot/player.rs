@@ -16,8 +16,8 @@ use std::sync::Arc;
 
 /// Groups whose chains are kept.
 const KEPT_CHAINS: usize = 12;
-/// Groups whose scans are kept: those before, at and after a moment, and one for going back.
-const KEPT_GROUPS: usize = 4;
+/// Groups whose scans are kept: those before, at and after a moment.
+const KEPT_GROUPS: usize = 3;
 
 /// Decoder of one run.
 pub struct Player {

@@ -1,6 +1,8 @@
 //! Drawing triangles into a picture in integers: which one each pixel sees, and how deep.
 
+use super::reciprocal::Reciprocal;
 use super::view::{PX_BITS, Seen};
+use std::ops::RangeInclusive;
 
 /// Depth of a pixel that sees nothing.
 pub const NOTHING: i32 = i32::MAX;
@@ -33,8 +35,22 @@ impl DepthPicture {
         self.depth.fill(NOTHING);
     }
 
+    /// Columns and rows of the pixels around a triangle; `None` where there are none, or more than a surface of a scan has.
+    pub fn around(&self, [a, b, c]: [Seen; 3]) -> Option<[RangeInclusive<i32>; 2]> {
+        let (x0, x1) = (a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x));
+        let (y0, y1) = (a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y));
+        if x1 - x0 > MAX_SPAN || y1 - y0 > MAX_SPAN {
+            return None;
+        }
+        let up = |v: i32| (v + 255) >> PX_BITS;
+        let (px0, py0) = (up(x0).max(0), up(y0).max(0));
+        let (px1, py1) = ((x1 >> PX_BITS).min(self.width as i32 - 1), (y1 >> PX_BITS).min(self.height as i32 - 1));
+        (px0 <= px1 && py0 <= py1).then_some([px0..=px1, py0..=py1])
+    }
+
     /// Draws a front-facing triangle (clockwise in the picture, whose rows go down); pixel centres on an edge belong to the
-    /// triangle on its right or below (top-left rule), so that neighbours neither overlap nor leave gaps. Returns how many pixels were looked at: the triangle's extent within the picture.
+    /// triangle on its right or below (top-left rule), so that neighbours neither overlap nor leave gaps. Returns how many pixels were
+    /// looked at: the triangle's extent within the picture.
     pub fn draw(&mut self, index: u32, corners: [Seen; 3]) -> usize {
         let [a, b, c] = corners;
         let (abx, aby) = (i64::from(b.x - a.x), i64::from(b.y - a.y));
@@ -44,31 +60,23 @@ impl DepthPicture {
         if area <= 0 {
             return 0;
         }
-        let low = |f: fn(&Seen) -> i32| corners.iter().map(f).fold(i32::MAX, i32::min);
-        let high = |f: fn(&Seen) -> i32| corners.iter().map(f).fold(i32::MIN, i32::max);
-        let (x0, x1, y0, y1) = (low(|s| s.x), high(|s| s.x), low(|s| s.y), high(|s| s.y));
-        if x1 - x0 > MAX_SPAN || y1 - y0 > MAX_SPAN {
-            return 0;
-        }
-        let up = |v: i32| (v + 255) >> PX_BITS;
-        let (px0, py0) = (up(x0).max(0), up(y0).max(0));
-        let (px1, py1) = ((x1 >> PX_BITS).min(self.width as i32 - 1), (y1 >> PX_BITS).min(self.height as i32 - 1));
-        if px0 > px1 || py0 > py1 {
-            return 0;
-        }
+        let Some([columns, rows]) = self.around(corners) else { return 0 };
+        let (px0, py0) = (*columns.start(), *rows.start());
         let (dz1, dz2) = (i64::from(b.depth - a.depth), i64::from(c.depth - a.depth));
         // Plane through the corners: depth slopes a pixel.
-        let sx = (((dz2 * aby - dz1 * acy) << (SLOPE_BITS + PX_BITS)) / area).clamp(-(1 << 40), 1 << 40);
-        let sy = (((dz1 * acx - dz2 * abx) << (SLOPE_BITS + PX_BITS)) / area).clamp(-(1 << 40), 1 << 40);
+        let by = Reciprocal::new(area);
+        let sx = by.truncated((dz2 * aby - dz1 * acy) << (SLOPE_BITS + PX_BITS)).clamp(-(1 << 40), 1 << 40);
+        let sy = by.truncated((dz1 * acx - dz2 * abx) << (SLOPE_BITS + PX_BITS)).clamp(-(1 << 40), 1 << 40);
         let edges = [Edge::new(b, a), Edge::new(c, b), Edge::new(a, c)];
         let (ox, oy) = (i64::from((px0 << PX_BITS) - a.x), i64::from((py0 << PX_BITS) - a.y));
         let mut row_depth =
             (i64::from(a.depth) << SLOPE_BITS) + ((sx * ox + sy * oy) >> PX_BITS) + (1 << (SLOPE_BITS - 1));
         let mut row_edge = [0, 1, 2].map(|i: usize| edges[i].at(px0, py0));
-        for y in py0..=py1 {
+        let looked_at = columns.clone().count() * rows.clone().count();
+        for y in rows {
             let (mut depth, mut e) = (row_depth, row_edge);
             let start = y as usize * self.width;
-            for x in px0..=px1 {
+            for x in columns.clone() {
                 if (e[0] | e[1] | e[2]) >= 0 {
                     let at = start + x as usize;
                     let d = (depth >> SLOPE_BITS) as i32;
@@ -87,7 +95,7 @@ impl DepthPicture {
             }
             row_depth += sy;
         }
-        (px1 - px0 + 1) as usize * (py1 - py0 + 1) as usize
+        looked_at
     }
 }
 

@@ -10,7 +10,7 @@ use super::base::DIRECTION_BITS;
 use super::descent::descend;
 use super::fit::{Equation, LevelSystem, displacement_at_mm, restrict, right_side, systems};
 use super::frames::to_space;
-use super::lattice::{FINE_SIDE, GRID_CELLS, GRID_SIDE, LEVEL_SIDES, Nodes, evaluate, refine};
+use super::lattice::{Across, FINE_SIDE, GRID_CELLS, GRID_SIDE, LEVEL_SIDES, Nodes, refine};
 use super::model::Model;
 use super::motion::{Motion, NODE_BITS};
 use super::motion_code::{Correction, MotionSteps};
@@ -131,7 +131,7 @@ fn share(hits: &[Hit], stride: usize) -> f64 {
 }
 
 fn hits(model: &Model, motion: &Motion, image: &ScanImage, stride: usize, scale_mm: f64) -> Vec<Hit> {
-    let shift = evaluate(&motion.nodes);
+    let shift = Across::new(&motion.nodes);
     let pose = motion.pose.matrix();
     let rotation = DMat3::from_cols_array_2d(&pose.rotation()).transpose();
     let view = model.view.moved(image.window.offset);
@@ -145,7 +145,7 @@ fn hits(model: &Model, motion: &Motion, image: &ScanImage, stride: usize, scale_
         .filter_map(|node| {
             let i = node[1] * GRID_SIDE + node[0];
             let rounding = 1 << (NODE_BITS - 1);
-            let (p, d) = (model.base.positions[i], shift[i]);
+            let (p, d) = (model.base.positions[i], shift.at(node[0], node[1]));
             let at = pose.apply([0, 1, 2].map(|c| p[c] + ((d[c] + rounding) >> NODE_BITS)));
             let seen = view.project(at)?;
             let sample = image.sample(seen.x, seen.y, STEP_LIMIT)?;
@@ -212,10 +212,12 @@ fn solve(mut system: [[f64; 7]; 6]) -> [f64; 6] {
 fn equations(hits: &[Hit], now: &Motion, predicted: &Motion) -> Vec<Equation> {
     // Rows as columns: the inverse rotation.
     let back = DMat3::from_cols_array_2d(&now.pose.matrix().rotation());
+    let moved: Nodes =
+        now.nodes.iter().zip(&predicted.nodes).map(|(n, p)| [n[0] - p[0], n[1] - p[1], n[2] - p[2]]).collect();
     hits.iter()
         .map(|hit| {
             let direction = back * hit.normal;
-            let already = displacement_at_mm(&now.nodes, hit.grid) - displacement_at_mm(&predicted.nodes, hit.grid);
+            let already = displacement_at_mm(&moved, hit.grid);
             Equation {
                 grid: hit.grid,
                 direction,

@@ -7,6 +7,10 @@ use super::view::{BackProjection, PX_BITS, Seen, View};
 use crate::Scan;
 use glam::DVec3;
 
+/// Later scans of a shot may be steeper than its first by this factor.
+const EDGE_ROOM: f64 = 1.3;
+/// Neighbours that differ by less than this are joined, units.
+const LEAST_EDGE_STEP: i32 = 3 * UNITS_PER_MM;
 /// Vertices within this of a pixel centre (1/256 px) count as that pixel.
 const CENTRE_TOLERANCE: i32 = 16;
 
@@ -107,7 +111,7 @@ impl ScanImage {
         steps.sort_by(f64::total_cmp);
         // A few triangles of a mended mesh may be longer than any of the scanner's.
         let step = steps.get(steps.len().saturating_sub(1 + steps.len() / 2000)).copied().unwrap_or(0.0);
-        (step.ceil() as i32 + UNITS_PER_MM / 4).clamp(1, 1 << 20)
+        ((EDGE_ROOM * step).ceil() as i32).clamp(LEAST_EDGE_STEP, 1 << 20)
     }
 
     /// Pixels on the surface.

@@ -1,6 +1,6 @@
 //! A decoded scan, as later scans are predicted from it.
 
-use super::carry::{Carried, NOWHERE, carry};
+use super::carry::{Carried, carry};
 use super::mask::{CERTAIN, Expectation};
 use super::model::{Drawn, Model, Window};
 use super::motion::Motion;
@@ -63,8 +63,14 @@ impl Expected {
     pub fn new(model: &Model, drawn: &Drawn, references: &[&SeenScan]) -> Self {
         let seen: Vec<_> = references.iter().map(|r| &r.drawn.seen[..]).collect();
         let Carried { depth, places } = carry(&drawn.picture, &drawn.seen, &model.connectivity, &seen);
-        let mask = expected_mask(drawn, &places, references);
-        let residual = expected_residual(&places, references, depth.len());
+        let (width, height) = (drawn.picture.width, drawn.picture.height);
+        let (level, residual) = if references.is_empty() {
+            let level = drawn.picture.depth.iter().map(|d| if *d == NOTHING { 0 } else { 2 }).collect();
+            (level, vec![0; depth.len()])
+        } else {
+            expected_pixels(&places, references, depth.len())
+        };
+        let mask = Expectation { width, height, level };
         Self { model_depth: without_nothing(depth), places, mask, residual }
     }
 }
@@ -75,74 +81,71 @@ fn without_nothing(mut depth: Vec<i32>) -> Vec<i32> {
     depth
 }
 
-fn expected_mask(drawn: &Drawn, places: &[Vec<[i32; 2]>], references: &[&SeenScan]) -> Expectation {
-    let (width, height) = (drawn.picture.width, drawn.picture.height);
-    let level = (0..width * height)
-        .map(|i| {
-            if references.is_empty() {
-                return if drawn.picture.depth[i] == NOTHING { 0 } else { 2 };
+/// How surely each pixel is on the surface: the mean of bilinear shares of the references' masks; and its residual: the
+/// mean of what those references hold whose masks have the nearest pixel, 0 where none has it.
+fn expected_pixels(places: &[Vec<[i32; 2]>], references: &[&SeenScan], count: usize) -> (Vec<u8>, Vec<i32>) {
+    let of = references.len() as i32;
+    let (mut level, mut residual) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    for i in 0..count {
+        let (mut share, mut sum, mut n) = (0, 0_i64, 0);
+        for (reference, places) in references.iter().zip(places) {
+            let (covered, nearest) = look(reference, places[i]);
+            share += covered;
+            if let Some(v) = nearest {
+                sum += i64::from(v);
+                n += 1;
             }
-            let shares = references.iter().zip(places).map(|(r, p)| mask_share(r, p[i]));
-            let mean = shares.sum::<i32>() / references.len() as i32;
-            // Shares of 65536.
-            match mean {
-                65_000.. => CERTAIN,
-                43_000.. => 3,
-                22_000.. => 2,
-                600.. => 1,
-                _ => 0,
-            }
-        })
-        .collect();
-    Expectation { width, height, level }
+        }
+        // Shares of 65536.
+        level.push(match share {
+            s if s >= 65_000 * of => CERTAIN,
+            s if s >= 43_000 * of => 3,
+            s if s >= 22_000 * of => 2,
+            s if s >= 600 * of => 1,
+            _ => 0,
+        });
+        residual.push(match n {
+            0 => 0,
+            1 => sum as i32,
+            2 => (sum / 2) as i32,
+            n => (sum / n) as i32,
+        });
+    }
+    (level, residual)
 }
 
-/// Bilinear share of a reference's mask at a place, 1/65536.
-fn mask_share(reference: &SeenScan, [x, y]: [i32; 2]) -> i32 {
-    if [x, y] == NOWHERE {
-        return 0;
-    }
+/// Bilinear share of a reference's mask at a place, 1/65536, and the residual of the nearest pixel if the mask has it.
+fn look(reference: &SeenScan, [x, y]: [i32; 2]) -> (i32, Option<i32>) {
     let (width, height) = (reference.window.width as i32, reference.window.height as i32);
     let (px, py) = (x >> PX_BITS, y >> PX_BITS);
     if px < -1 || py < -1 || px >= width || py >= height {
-        return 0;
+        return (0, None);
+    }
+    let (fx, fy) = (x & 255, y & 255);
+    let (right, below) = (fx >> 7, fy >> 7);
+    if px >= 0 && py >= 0 && px + 1 < width && py + 1 < height {
+        let at = (py * width + px) as usize;
+        let (upper, lower) =
+            (&reference.mask[at..at + 2], &reference.mask[at + width as usize..at + width as usize + 2]);
+        if upper[0] && upper[1] && lower[0] && lower[1] {
+            return (1 << 16, Some(reference.residual[at + (below * width + right) as usize]));
+        }
     }
     let on = |x: i32, y: i32| {
         let inside = x >= 0 && y >= 0 && x < width && y < height;
-        i32::from(inside && reference.mask[(y * width + x) as usize])
+        inside && reference.mask[(y * width + x) as usize]
     };
-    let (fx, fy) = (x & 255, y & 255);
-    (on(px, py) * (256 - fx) + on(px + 1, py) * fx) * (256 - fy)
-        + (on(px, py + 1) * (256 - fx) + on(px + 1, py + 1) * fx) * fy
-}
-
-/// Mean of what the references hold at the nearest pixels of their masks; 0 where none has one.
-fn expected_residual(places: &[Vec<[i32; 2]>], references: &[&SeenScan], count: usize) -> Vec<i32> {
-    let at = |r: &SeenScan, [x, y]: [i32; 2]| {
-        let (px, py) = ((x + 128) >> PX_BITS, (y + 128) >> PX_BITS);
-        let inside = px >= 0 && py >= 0 && (px as usize) < r.window.width && (py as usize) < r.window.height;
-        let i = inside.then(|| py as usize * r.window.width + px as usize)?;
-        r.mask[i].then_some(r.residual[i])
-    };
-    (0..count)
-        .map(|i| {
-            let (mut sum, mut n) = (0_i64, 0_i64);
-            for (r, p) in references.iter().zip(places) {
-                if p[i] != NOWHERE
-                    && let Some(v) = at(r, p[i])
-                {
-                    sum += i64::from(v);
-                    n += 1;
-                }
-            }
-            if n == 0 { 0 } else { (sum / n) as i32 }
-        })
-        .collect()
+    let weight = |x: i32, y: i32| i32::from(on(x, y));
+    let share = (weight(px, py) * (256 - fx) + weight(px + 1, py) * fx) * (256 - fy)
+        + (weight(px, py + 1) * (256 - fx) + weight(px + 1, py + 1) * fx) * fy;
+    let (nx, ny) = (px + right, py + below);
+    (share, on(nx, ny).then(|| reference.residual[(ny * width + nx) as usize]))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::shot::carry::NOWHERE;
     use crate::shot::raster::DepthPicture;
 
     fn reference(mask: &[bool]) -> SeenScan {
@@ -155,12 +158,12 @@ mod tests {
     #[test]
     fn shares_of_a_mask_are_bilinear_and_end_at_its_border() {
         let r = reference(&[true, true, false, false, true, true, false, false]);
-        assert_eq!(mask_share(&r, [0, 0]), 1 << 16);
-        assert_eq!(mask_share(&r, [256 + 64, 128]), 3 << 14);
-        assert_eq!(mask_share(&r, [-128, 0]), 1 << 15);
-        assert_eq!(mask_share(&r, [0, 256 + 192]), 1 << 14);
+        assert_eq!(look(&r, [0, 0]).0, 1 << 16);
+        assert_eq!(look(&r, [256 + 64, 128]).0, 3 << 14);
+        assert_eq!(look(&r, [-128, 0]).0, 1 << 15);
+        assert_eq!(look(&r, [0, 256 + 192]).0, 1 << 14);
         for off in [NOWHERE, [-257, 0], [0, -300], [4 << 8, 0], [0, 2 << 8]] {
-            assert_eq!(mask_share(&r, off), 0);
+            assert_eq!(look(&r, off), (0, None));
         }
     }
 
@@ -168,7 +171,7 @@ mod tests {
     fn residuals_are_the_mean_of_the_references_that_have_the_pixel() {
         let (all, left) = (reference(&[true; 8]), reference(&[true, true, false, false, true, true, false, false]));
         let places = [vec![[100, 0], [700, 300], NOWHERE], vec![[130, 0], [700, 300], [0, 5000]]];
-        assert_eq!(expected_residual(&places, &[&all, &left], 3), [(-30 - 20) / 2, 40, 0]);
+        assert_eq!(expected_pixels(&places, &[&all, &left], 3).1, [(-30 - 20) / 2, 40, 0]);
     }
 
     #[test]

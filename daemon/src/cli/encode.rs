@@ -25,7 +25,7 @@ const READ_AHEAD: usize = 2;
 /// Code a folder of scans, numbered OBJ or PLY files with a BMP or PNG picture each, into a session.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  gv3 encode recordings/smile -o smile.gv3\n  gv3 encode recordings/smile -o smile.gv3 --landmarks smile.csv"
+    after_help = "Example:\n  gv3 encode recordings/smile -o smile.gv3\n  gv3 encode recordings/smile -o smile.gv3 --mode seed --landmarks smile.csv"
 )]
 pub struct Encode {
     /// Folder of scans, or a single scan.
@@ -185,6 +185,9 @@ impl Encode {
 
     fn read_landmarks(&self, folder: &ScanFolder) -> Result<Option<LandmarkTable>> {
         let Some(path) = &self.landmarks else { return Ok(None) };
+        if self.mode == ModeArgument::Default {
+            bail!("--landmarks: the default mode follows the texture by itself; give --mode seed to use landmarks");
+        }
         let table = LandmarkTable::read(path)?;
         if !(0..folder.len()).any(|i| table.has_scan(folder.number(i))) {
             let (first, last) = (folder.number(0), folder.number(folder.len() - 1));

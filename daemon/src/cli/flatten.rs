@@ -377,7 +377,7 @@ mod tests {
         let mut holed = dome();
         holed.triangles.retain(|t| !t.contains(&300));
         let holed = file("holed.obj", &holed);
-        assert!(error(&[&holed, "--no-repair"]).contains("made a disk: not a disk: 2 boundary loops"));
+        assert!(error(&[&holed, "--no-repair"]).contains("not a disk: 2 boundary loops"));
         assert!(run(&[&holed, "--keep-border"]).unwrap().report.contains("1 holes filled"));
         assert!(run(&[&holed]).unwrap().report.contains("clipped off a ragged border"));
         assert!(error(&[&holed, "--method", "sphere"]).contains("not closed: edge"));
