@@ -128,9 +128,13 @@ impl StreamHeader {
         let mode = reader.u8()?;
         let (keyframe_interval, scan_period_nanos) = (reader.u8()?, reader.varint()?);
         let mode = match mode {
-            0 => Mode::Seed { position_step_mm: reader.f32()? },
-            1 if version >= 2 => Mode::Shots(Steps::decode(&mut reader)?),
-            other => return Err(mode_at.error(format!("mode {other}; 0 (seed) and, from version 2, 1 are defined"))),
+            0 if version == 1 => Mode::Seed { position_step_mm: reader.f32()? },
+            1 if version == 2 => Mode::Shots(Steps::decode(&mut reader)?),
+            other => {
+                return Err(mode_at.error(format!(
+                    "mode {other} in version {version}; version 1 has mode 0 (seed), version 2 has mode 1 (shots)"
+                )));
+            }
         };
         let header = Self { mode, keyframe_interval, scan_period_nanos };
         reader.finish()?;

@@ -26,6 +26,42 @@ fn run(target: &str, check: fn(&[u8])) {
     assert!(seeds >= 3, "{seeds} seeds of {target}");
 }
 
+/// Runs every seed of a target that takes long, and every seed with a few bytes changed.
+fn run_some(target: &str, check: fn(&[u8])) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target);
+    let mut seeds = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let mut bytes = std::fs::read(entry.unwrap().path()).unwrap();
+        check(&bytes);
+        for k in 1..=CHANGES {
+            let i = k * bytes.len() / (CHANGES + 1);
+            bytes[i] ^= 1 << k;
+            check(&bytes);
+            bytes[i] ^= 1 << k;
+        }
+        seeds += 1;
+    }
+    assert!(seeds >= 3, "{seeds} seeds of {target}");
+}
+
+/// Bytes of a seed that are changed one after another.
+const CHANGES: usize = 3;
+
+#[test]
+fn groups_of_shots() {
+    run_some("shots", payloads::shots);
+}
+
+#[test]
+fn textures_of_groups() {
+    run_some("textures", payloads::textures);
+}
+
+#[test]
+fn coded_textures() {
+    run("coded_texture", payloads::coded_texture);
+}
+
 #[test]
 fn stream_headers() {
     run("stream_header", payloads::stream_header);

@@ -1,15 +1,22 @@
 //! The conformance vectors of FORMAT.md. `GV3_WRITE_VECTORS=1 cargo test -p gv3-codec --test vectors` writes them anew.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+mod bumpy_disk;
 mod payloads;
+mod shot_run;
 
+use gv3_codec::bits::range_coder::{BitModel, RangeDecoder};
 use gv3_codec::seed::decode_group;
+use gv3_codec::shot::link::Link;
 use gv3_codec::texture::decode_key_texture;
 use gv3_codec::{CodecError, Mode, StreamHeader};
 use jpeg_encoder::ColorType;
+use payloads::shots::{Shots, Textures, invalid_group_textures, invalid_shots};
 use payloads::*;
+use shot_run::RUN;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 /// Groups are read under the header of `stream_header-example`.
 const HEADER: StreamHeader = StreamHeader {
@@ -29,20 +36,55 @@ fn kind_of(name: &str) -> &str {
     name.split('-').next().unwrap_or(name)
 }
 
+/// Number of the group of shots in whose place a vector stands.
+fn group_number(name: &str) -> usize {
+    name.split('-').nth(1).and_then(|n| n.parse().ok()).unwrap_or_else(|| panic!("{name} has no number"))
+}
+
+/// States after the vectors of groups of shots and their textures.
+static LINKS: LazyLock<Vec<Link>> = LazyLock::new(|| {
+    let mut links: Vec<Link> = Vec::new();
+    for (i, (group, textures)) in SHOTS.iter().zip(TEXTURES).enumerate() {
+        let [group, textures] = [*group, textures].map(|n| read_hex(&folder("vectors/valid").join(format!("{n}.hex"))));
+        let (_, after) = shot_run::describe_textures(&RUN.header, (i, &group), &textures, links.last()).unwrap();
+        links.push(after);
+    }
+    links
+});
+
+/// Vectors of the textures of these groups.
+const TEXTURES: [&str; 4] = ["textures-0-alone", "textures-1-predicted", "textures-2-alone", "textures-3-alone"];
+
+/// Vectors of groups of shots, each decoded after the one before.
+const SHOTS: [&str; 4] = ["shots-0-begins", "shots-1-continues", "shots-2-refreshes", "shots-3-begins"];
+
 /// Decodes a payload and writes what it holds as text.
-fn describe(kind: &str, bytes: &[u8]) -> Result<String, CodecError> {
+fn describe(name: &str, bytes: &[u8]) -> Result<String, CodecError> {
     let mut out = String::new();
-    match kind {
+    match kind_of(name) {
+        "shots" => {
+            let before = group_number(name).checked_sub(1).map(|b| &LINKS[b].chain);
+            return shot_run::describe(&RUN.header, bytes, before).map(|(text, _)| text);
+        }
+        "textures" => {
+            let at = group_number(name);
+            let group = read_hex(&folder("vectors/valid").join(format!("{}.hex", SHOTS[at])));
+            let before = at.checked_sub(1).map(|b| &LINKS[b]);
+            return shot_run::describe_textures(&RUN.header, (at, &group), bytes, before).map(|(text, _)| text);
+        }
         "stream_header" => {
             let h = StreamHeader::decode(bytes)?;
             writeln!(out, "mode {}\nkeyframe_interval {}", h.mode.name(), h.keyframe_interval).unwrap();
-            writeln!(
-                out,
-                "scan_period_nanos {}\nposition_step_mm {}",
-                h.scan_period_nanos,
-                h.position_step_mm().unwrap()
-            )
-            .unwrap();
+            writeln!(out, "scan_period_nanos {}", h.scan_period_nanos).unwrap();
+            match h.mode {
+                Mode::Seed { position_step_mm } => writeln!(out, "position_step_mm {position_step_mm}").unwrap(),
+                Mode::Shots(s) => {
+                    let m = s.motion;
+                    writeln!(out, "turn {} shift {} lattice {:?}", m.turn, m.shift, m.lattice).unwrap();
+                    writeln!(out, "patch {} control {}", s.patch, s.control).unwrap();
+                    writeln!(out, "displacement {} flat {}", s.displacement, s.flat).unwrap();
+                }
+            }
         }
         "group" => {
             let g = decode_group(&HEADER, bytes)?;
@@ -89,7 +131,8 @@ fn valid() -> Vec<(&'static str, Payload)> {
         uv: Uv::None,
         ..first.clone()
     };
-    vec![
+    let shots = SHOTS.iter().enumerate().map(|(i, name)| (*name, Shots::of_run(i).payload()));
+    let others = vec![
         ("stream_header-example", Header::default().payload()),
         (
             "stream_header-least",
@@ -99,13 +142,17 @@ fn valid() -> Vec<(&'static str, Payload)> {
             "stream_header-most",
             Header { interval: 255, period: varint(1_000_000_000_000), step_mm: 1024.0, ..Header::default() }.payload(),
         ),
+        ("stream_header-shots", shots_header([2, 4, 38, 77, 100, 64, 38, 10])),
+        ("stream_header-shots-most", shots_header([4096; 8])),
         ("group-coded-uv", group.payload()),
         ("group-camera-uv", Group { uv: Uv::Camera(CAMERA), ..group.clone() }.payload()),
         ("group-without-uv", Group { uv: Uv::None, ..first.clone() }.payload()),
         ("group-one-triangle", triangle.payload()),
         ("texture-whole", texture([16, 16, 0, 0], jpeg(16, 16, ColorType::Luma, false))),
         ("texture-crop", texture([16, 16, 5, 7], jpeg(9, 8, ColorType::Luma, false))),
-    ]
+    ];
+    let textures = TEXTURES.iter().enumerate().map(|(i, name)| (*name, Textures::of_run(i).payload()));
+    others.into_iter().chain(shots).chain(textures).collect()
 }
 
 /// Name, payload, what the error must say.
@@ -117,8 +164,11 @@ fn invalid_headers() -> Vec<Invalid> {
     long.push(("one byte more", vec![0]));
     vec![
         ("stream_header-version-0", Header { version: 0, ..h() }.payload(), "stream header, byte 2: format version 0"),
-        ("stream_header-version-2", Header { version: 2, ..h() }.payload(), "version 2 is newer than 1"),
-        ("stream_header-mode-1", Header { mode: 1, ..h() }.payload(), "stream header, byte 3: mode 1"),
+        ("stream_header-version-3", Header { version: 3, ..h() }.payload(), "version 3 is newer than 2"),
+        ("stream_header-mode-1", Header { mode: 1, ..h() }.payload(), "stream header, byte 2: mode 1 in version 1"),
+        ("stream_header-seed-2", Header { version: 2, ..h() }.payload(), "mode 0 in version 2"),
+        ("stream_header-shots-0", shots_header([2, 4, 38, 77, 0, 64, 38, 10]), "patch step is 0"),
+        ("stream_header-shots-above", shots_header([2, 4, 38, 77, 100, 64, 38, 4097]), "flatness is 4097"),
         ("stream_header-interval-0", Header { interval: 0, ..h() }.payload(), "keyframe interval is 0"),
         ("stream_header-period-0", Header { period: vec![0], ..h() }.payload(), "scan period is 0 ns"),
         ("stream_header-period-above", Header { period: varint(1_000_000_000_001), ..h() }.payload(), "scan period is"),
@@ -304,7 +354,7 @@ fn invalid_textures() -> Vec<Invalid> {
 
 fn invalid() -> Vec<Invalid> {
     let groups = [invalid_stamps(), invalid_connectivity(), invalid_attributes(), invalid_landmarks()].concat();
-    [invalid_headers(), groups, invalid_textures()].concat()
+    [invalid_headers(), groups, invalid_textures(), invalid_shots(&LINKS[0].chain), invalid_group_textures()].concat()
 }
 
 fn write_hex(path: &Path, payload: &Payload) {
@@ -326,9 +376,12 @@ fn read_hex(path: &Path) -> Vec<u8> {
 }
 
 fn write_all() {
+    // Groups of shots are described after those before them.
     for (name, payload) in valid() {
         write_hex(&folder("vectors/valid").join(format!("{name}.hex")), &payload);
-        let text = describe(kind_of(name), &bytes_of(&payload)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    }
+    for (name, payload) in valid() {
+        let text = describe(name, &bytes_of(&payload)).unwrap_or_else(|e| panic!("{name}: {e}"));
         std::fs::write(folder("vectors/valid").join(format!("{name}.txt")), text).unwrap();
         write_seed(name, &payload);
     }
@@ -343,7 +396,16 @@ fn write_all() {
 fn write_seed(name: &str, payload: &Payload) {
     let path = folder("fuzz/corpus").join(kind_of(name)).join(name);
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    std::fs::write(path, bytes_of(payload)).unwrap();
+    // Those of runs begin with the number of the group in whose place they stand.
+    let number = ["shots", "textures"].contains(&kind_of(name)).then(|| group_number(name) as u8);
+    std::fs::write(path, number.into_iter().chain(bytes_of(payload)).collect::<Vec<u8>>()).unwrap();
+    // A keyframe's picture alone, as a grey one without sources, with one and with two.
+    if let Some((_, picture)) = payload.get(1).filter(|_| kind_of(name) == "textures") {
+        let path = folder("fuzz/corpus/coded_texture").join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        let kind = (group_number(name) as u8 % 3) << 1;
+        std::fs::write(path, [&[kind], &picture[..]].concat()).unwrap();
+    }
 }
 
 /// Name, bytes and companion text of every vector in a folder, in the order of names.
@@ -381,13 +443,13 @@ fn vectors_hold() {
     let vectors = read_all("vectors/valid", "txt");
     assert_eq!(vectors.len(), valid().len(), "vectors were added or dropped: write them anew");
     for (name, bytes, wanted) in &vectors {
-        let found = describe(kind_of(name), bytes).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let found = describe(name, bytes).unwrap_or_else(|e| panic!("{name}: {e}"));
         assert!(agree(&found, wanted), "{name}:\n{found}\nbut the vector says\n{wanted}");
     }
     let vectors = read_all("vectors/invalid", "err");
     assert_eq!(vectors.len(), invalid().len(), "vectors were added or dropped: write them anew");
     let wrong: Vec<String> = (vectors.iter())
-        .filter_map(|(name, bytes, wanted)| match describe(kind_of(name), bytes) {
+        .filter_map(|(name, bytes, wanted)| match describe(name, bytes) {
             Err(error) if error.to_string().contains(wanted.trim()) => None,
             other => Some(format!("{name}: {other:?}\nbut should say {wanted}")),
         })
@@ -395,22 +457,38 @@ fn vectors_hold() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// About as many bits of each vector of shots are flipped.
+const FLIPS_OF_SHOTS: usize = 30;
+
+/// The encoder works in floating point, but in a fixed order and without functions that differ from machine to machine.
+#[test]
+fn the_encoder_makes_the_vectors_of_shots_in_every_build() {
+    let vectors = read_all("vectors/valid", "txt");
+    let of = |kind| vectors.iter().filter(move |(name, ..)| kind_of(name) == kind);
+    for (((name, group, _), (_, textures, _)), made) in of("shots").zip(of("textures")).zip(&RUN.groups) {
+        let same = made.geometry == *group && made.texture.as_ref() == Some(textures);
+        assert!(same, "{name}: other bytes; if they are meant to be, write the vectors anew");
+    }
+}
+
 #[test]
 fn every_prefix_and_one_byte_more_fail_and_no_flip_panics() {
     for (name, bytes, _) in read_all("vectors/valid", "txt") {
-        let kind = kind_of(&name);
         for n in 0..bytes.len() {
-            assert!(describe(kind, &bytes[..n]).is_err(), "{name}: {n} of {} bytes decode", bytes.len());
+            assert!(describe(&name, &bytes[..n]).is_err(), "{name}: {n} of {} bytes decode", bytes.len());
         }
         for more in [0, 0x55, 0xff] {
-            assert!(describe(kind, &[&bytes[..], &[more]].concat()).is_err(), "{name} with {more:#04x} after it");
+            assert!(describe(&name, &[&bytes[..], &[more]].concat()).is_err(), "{name} with {more:#04x} after it");
         }
     }
     for (name, bytes, _) in read_all("vectors/valid", "txt").into_iter().chain(read_all("vectors/invalid", "err")) {
-        for i in 0..8 * bytes.len().min(4096) {
+        // A group of shots takes long to decode: some of its bits, at odd distances.
+        let bits = 8 * bytes.len().min(4096);
+        let stride = if ["shots", "textures"].contains(&kind_of(&name)) { (bits / FLIPS_OF_SHOTS) | 1 } else { 1 };
+        for i in (0..bits).step_by(stride) {
             let mut flipped = bytes.clone();
             flipped[i / 8] ^= 1 << (i % 8);
-            let _ = describe(kind_of(&name), &flipped);
+            let _ = describe(&name, &flipped);
         }
     }
 }
@@ -418,6 +496,15 @@ fn every_prefix_and_one_byte_more_fail_and_no_flip_panics() {
 #[test]
 fn the_page_shows_the_vectors() {
     let page = std::fs::read_to_string(folder("FORMAT.md")).unwrap();
+    let shots = std::fs::read_to_string(folder("FORMAT-shots.md")).unwrap();
+    for name in ["stream_header-shots", "shots-1-continues"] {
+        let vector = std::fs::read_to_string(folder("vectors/valid").join(format!("{name}.hex"))).unwrap();
+        assert!(shots.contains(&vector), "{name} is not on the page as it is");
+    }
+    let (mut reader, mut context) = (RangeDecoder::new(&[0x94], "example"), BitModel::default());
+    assert_eq!([0; 3].map(|_: u8| reader.bit(&mut context)), [true, false, false]);
+    assert_eq!(reader.raw(8), 0xa5);
+    reader.finish().unwrap();
     for name in ["stream_header-example", "group-coded-uv"] {
         let vector = std::fs::read_to_string(folder("vectors/valid").join(format!("{name}.hex"))).unwrap();
         assert!(page.contains(&vector), "{name} is not on the page as it is");

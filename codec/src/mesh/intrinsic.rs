@@ -132,7 +132,7 @@ impl IntrinsicMesh {
         let [lbc, lca, lad, ldb] = [bc, ca, ad, db].map(|e| self.length[e as usize]);
         let cx = (lca * lca + l * l - lbc * lbc) / (2.0 * l);
         let dx = (lad * lad + l * l - ldb * ldb) / (2.0 * l);
-        let diagonal = (cx - dx).hypot(2.0 * (self.area(h) + self.area(g)) / l);
+        let diagonal = libm::hypot(cx - dx, 2.0 * (self.area(h) + self.area(g)) / l);
         let (a, b, c, d) = (self.origin[h as usize], self.origin[g as usize], self.apex(h), self.apex(g));
         if !diagonal.is_finite() {
             return false;

@@ -173,7 +173,7 @@ impl<'a> Collapser<'a> {
         let pairs = half_edges.origin.iter().zip(&half_edges.twin);
         Self {
             options,
-            min_cos2: options.max_turn_deg.clamp(0.0, 90.0).to_radians().cos().powi(2),
+            min_cos2: libm::cosf(options.max_turn_deg.clamp(0.0, 90.0).to_radians()).powi(2),
             vertices: initial_vertices(mesh, half_edges, options.border_weight),
             on_border: (0..n as u32).map(|v| half_edges.is_boundary_vertex(v)).collect(),
             alive: vec![true; mesh.triangles.len()],

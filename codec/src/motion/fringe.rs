@@ -93,7 +93,7 @@ fn add_pixel(cell: &mut [f32; MOMENTS], phase_rad: f32, value: f32) {
 
 /// Gaussian sums over cells, along columns and then along rows.
 fn blurred(cells: &[[f32; MOMENTS]], columns: usize) -> Vec<[f32; MOMENTS]> {
-    let weight = |d: usize| (-0.5 * (d as f32 * CELL as f32 / SIGMA_PX).powi(2)).exp();
+    let weight = |d: usize| libm::expf(-0.5 * (d as f32 * CELL as f32 / SIGMA_PX).powi(2));
     let weights: Vec<f32> = (0..=REACH).map(weight).collect();
     let rows = cells.len() / columns.max(1);
     let pass = |from: &[[f32; MOMENTS]], place: &dyn Fn(usize) -> (usize, usize, usize)| -> Vec<[f32; MOMENTS]> {

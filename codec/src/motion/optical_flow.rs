@@ -61,7 +61,7 @@ pub(super) fn follow_from(
     let mut checked = |point: [f32; 2], levels: u32, step: [f32; 2]| {
         let there = search.track(from, to, point, levels, step)?;
         let back = search.track(to, from, there, levels, step.map(|s| -s))?;
-        let home = (back[0] - point[0]).hypot(back[1] - point[1]) <= options.max_backward_px;
+        let home = libm::hypotf(back[0] - point[0], back[1] - point[1]) <= options.max_backward_px;
         (home && zncc(from.finest(), point, to.finest(), there, options.window_px) >= options.min_zncc).then_some(there)
     };
     let mut one = |&(point, step): &([f32; 2], Option<[f32; 2]>)| {

@@ -123,7 +123,7 @@ impl Tracker {
         self.tracks.retain_mut(|t| {
             let Some(key_px) = t.key_px else { return true };
             let Some(found) = aligner.align(key.finest(), key_px, next.finest(), t.px) else { return false };
-            let moved_px = (found.px[0] - t.px[0]).hypot(found.px[1] - t.px[1]);
+            let moved_px = libm::hypotf(found.px[0] - t.px[0], found.px[1] - t.px[1]);
             t.px = found.px;
             moved_px <= MAX_DRIFT_PX && found.zncc >= self.options.min_key_zncc && mask.contains(found.px)
         });

@@ -94,7 +94,8 @@ impl CodedBase {
         let displacement = self.displacement();
         for ((p, n), d) in positions.iter_mut().zip(&normals_of_control).zip(&displacement) {
             for i in 0..3 {
-                p[i] += (n[i] * d) >> DIRECTION_BITS;
+                // Displacements of several levels may add up to more than 17 bits.
+                p[i] += ((i64::from(n[i]) * i64::from(*d)) >> DIRECTION_BITS) as i32;
             }
         }
         let normals = normals(&positions);
@@ -137,8 +138,9 @@ impl CodedBase {
         for i in 0..CONTROL_SIDE * CONTROL_SIDE {
             let mut c = predict_control(&control, i);
             for (c, m) in c.iter_mut().zip(&mut models.0) {
-                *c = c.wrapping_add(reader.signed(&mut m.magnitude, &mut m.sign)?);
-                if c.abs() > (1 << 22) / control_step {
+                // The sum of a prediction and 31 bits: saturated, it is out of range all the same.
+                *c = c.saturating_add(reader.signed(&mut m.magnitude, &mut m.sign)?);
+                if c.unsigned_abs() > (1 << 22) / control_step as u32 {
                     return Err(reader.error("a control point beyond 16 m"));
                 }
             }
@@ -347,5 +349,42 @@ mod tests {
         assert_eq!(CodedBase::decode(&mut reader, 64, 38).unwrap(), base);
         reader.finish().unwrap();
         assert_eq!(base.build().positions.len(), GRID_SIDE * GRID_SIDE);
+    }
+
+    fn coded(symbols: impl Fn(&mut RangeEncoder, &mut ControlModels)) -> Vec<u8> {
+        let mut out = RangeEncoder::default();
+        symbols(&mut out, &mut ControlModels::default());
+        out.finish()
+    }
+
+    #[test]
+    fn a_control_point_that_would_wrap_round_is_refused() {
+        let bytes = coded(|out, models| {
+            // (0, 0) at -10, then (1, 0) at -10 - (2^31 - 2).
+            for (k, v) in [-10, 0, 0, 2 - i32::MAX].into_iter().enumerate() {
+                let m = &mut models.0[k % 3];
+                out.signed(&mut m.magnitude, &mut m.sign, v);
+            }
+        });
+        let error = CodedBase::decode(&mut RangeDecoder::new(&bytes, "base"), 64, 38).unwrap_err().to_string();
+        assert!(error.contains("beyond 16 m"), "{error}");
+    }
+
+    #[test]
+    fn the_largest_displacements_of_all_levels_add_up_without_overflow() {
+        for step in [1, 64] {
+            let most = (1 << 16) / step;
+            let base = CodedBase {
+                control_step: step,
+                control: (0..CONTROL_SIDE * CONTROL_SIDE)
+                    .map(|i| [[1, -1], [-1, 1]][i % 2][i / 19 % 2])
+                    .map(|s| [s * (1 << 22) / step; 3])
+                    .collect(),
+                displacement_step: step,
+                residuals: vec![most; GRID_SIDE * GRID_SIDE],
+            };
+            let built = base.build();
+            assert!(built.positions.iter().flatten().all(|v| v.abs() < 1 << 24));
+        }
     }
 }

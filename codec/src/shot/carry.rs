@@ -9,6 +9,8 @@ use super::view::{PX_BITS, Seen};
 
 /// Fraction bits of a gradient.
 const GRADIENT_BITS: u32 = 16;
+/// Steepest gradient: slivers have steeper ones, whose products with a triangle's extent would overflow.
+const MAX_GRADIENT: i64 = 1 << 40;
 /// Position of a pixel that no surface carries.
 pub const NOWHERE: [i32; 2] = [i32::MIN; 2];
 
@@ -44,8 +46,14 @@ fn carry_drawn(
     places: &mut [Vec<[i32; 2]>],
 ) {
     let mut maps = vec![Affine::default(); references.len()];
-    for (index, corners) in connectivity.triangles.iter().enumerate() {
+    // Only triangles that were drawn: their extents are bounded.
+    let drawn = picture.triangle.iter().max().map_or(0, |last| *last as usize + 1);
+    for (index, corners) in connectivity.triangles.iter().enumerate().take(drawn) {
         let here = corners.map(|v| seen[v as usize]);
+        let [e1, e2] = edges(here);
+        if e1[0] * e2[1] >= e1[1] * e2[0] {
+            continue;
+        }
         let Some([columns, rows]) = picture.around(here) else { continue };
         let mut is_mapped = false;
         for y in rows {
@@ -90,7 +98,8 @@ impl Frame {
         let ([e1, e2], [d1, d2]) = (self.edges, edges(there));
         let gradient = [0, 1].map(|k| {
             let along = [d1[k] * e2[1] - d2[k] * e1[1], d2[k] * e1[0] - d1[k] * e2[0]];
-            along.map(|n| self.by.map_or(0, |(by, sign)| sign * by.truncated(n << GRADIENT_BITS)))
+            let slope = |n: i64| self.by.map_or(0, |(by, sign)| sign * by.truncated(n << GRADIENT_BITS));
+            along.map(|n| slope(n).clamp(-MAX_GRADIENT, MAX_GRADIENT))
         });
         Affine { from: self.origin, to: [there[0].x, there[0].y], gradient }
     }
@@ -213,6 +222,19 @@ mod tests {
         }
         // Beside the surface the depth of the nearest pixel.
         assert_eq!(carried.depth[5 * 20 + 18], picture.depth[5 * 20 + 11]);
+    }
+
+    #[test]
+    fn a_sliver_whose_corner_is_out_of_sight_stays_in_range() {
+        let at = |x: i32, y: i32| Seen { x, y, depth: 5 };
+        // A fiftieth of a pixel high, around the centre of pixel (3, 2).
+        let seen = vec![at(0, 510), at(2049, 514), at(768, 514)];
+        let connectivity = Connectivity { nodes: vec![0, 1, 2], triangles: vec![[0, 2, 1], [0, 1, 2]] };
+        let picture = drawn(&seen, &connectivity);
+        assert_eq!(picture.depth[2 * 20 + 3], 5);
+        let away = [Seen::NOWHERE, at(-(1 << 24), 1 << 24), at(1 << 24, 0)];
+        let carried = carry(&picture, &seen, &connectivity, &[&away]);
+        assert!(carried.places[0].iter().flatten().all(|v| v.abs() <= (1 << 28) + (20 << 8)));
     }
 
     #[test]

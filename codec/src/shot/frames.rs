@@ -3,6 +3,9 @@
 use super::base::{Base, DIRECTION_BITS, cross, unit};
 use super::lattice::{GRID_CELLS, GRID_SIDE, LEVEL_SIDES};
 
+/// Farthest that one coefficient's node may move, 1/16 units: 16 m.
+const MAX_MOVE: i64 = 1 << 26;
+
 /// Normal and two tangents of a node, unit vectors times 2^14.
 pub type Frame = [[i32; 3]; 3];
 
@@ -37,10 +40,44 @@ fn disk_node(i: usize, j: usize, side: usize) -> (usize, usize) {
     (on(centred[0]) as usize, on(centred[1]) as usize)
 }
 
-/// The vector of coefficients (normal, two tangents; in steps) in a frame, in 1/16 units.
+/// The vector of coefficients (normal, two tangents; in steps) in a frame, in 1/16 units, at most 2^26 a channel.
 pub fn to_space(frame: &Frame, steps: [i32; 3], q: [i32; 3]) -> [i32; 3] {
     [0, 1, 2].map(|c| {
         let sum: i64 = (0..3).map(|d| i64::from(frame[d][c]) * i64::from(q[d]) * i64::from(steps[d])).sum();
-        ((sum + (1 << (DIRECTION_BITS - 5))) >> (DIRECTION_BITS - 4)) as i32
+        let rounded = (sum + (1 << (DIRECTION_BITS - 5))) >> (DIRECTION_BITS - 4);
+        rounded.clamp(-MAX_MOVE, MAX_MOVE) as i32
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shot::base::normals;
+
+    #[test]
+    fn frames_are_right_angled_and_of_unit_length() {
+        let at = |i: usize| {
+            let (x, y) = ((i % GRID_SIDE) as i32 - 128, (i / GRID_SIDE) as i32 - 128);
+            [200 * x + 30 * y, -180 * y, 20_000 - (x * x + 2 * y * y) / 2]
+        };
+        let positions: Vec<_> = (0..GRID_SIDE * GRID_SIDE).map(at).collect();
+        let base = Base { normals: normals(&positions), positions };
+        // Projections are rounded to units, of which eight cells have some 1600.
+        for frame in frames(&base).iter().flatten() {
+            let dot = |a: usize, b: usize| -> f64 {
+                (0..3).map(|c| f64::from(frame[a][c]) * f64::from(frame[b][c])).sum::<f64>() / f64::from(1 << 28)
+            };
+            for (a, b) in [(0, 1), (0, 2), (1, 2)] {
+                assert!((dot(a, a) - 1.0).abs() < 5e-3 && (dot(b, b) - 1.0).abs() < 5e-3 && dot(a, b).abs() < 5e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn coefficients_are_lengths_along_the_frame_and_end_at_the_limit() {
+        let one = 1 << DIRECTION_BITS;
+        let frame = [[0, 0, one], [one, 0, 0], [0, one, 0]];
+        assert_eq!(to_space(&frame, [3, 5, 5], [2, -1, 4]), [-80, 320, 96]);
+        assert_eq!(to_space(&frame, [4096; 3], [1 << 15, -(1 << 15), 0]), [-(1 << 26), 0, 1 << 26]);
+    }
 }

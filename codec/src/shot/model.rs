@@ -8,6 +8,11 @@ use super::motion::Motion;
 use super::raster::DepthPicture;
 use super::view::{Seen, View};
 
+/// Pixels looked at while drawing, for each pixel of a picture and beyond that, before drawing ends: a hundred times what
+/// any surface needs, and a bound on the time that a payload can take.
+const DRAWN_PER_PIXEL: usize = 64;
+const DRAWN_MORE: usize = 1 << 20;
+
 /// A base ready to be moved and drawn.
 #[derive(Debug, Clone)]
 pub struct Model {
@@ -60,8 +65,13 @@ impl Drawn {
         let positions = motion.positions(&model.base, &model.connectivity);
         let seen: Vec<Seen> = positions.iter().map(|p| view.project(*p).unwrap_or(Seen::NOWHERE)).collect();
         let mut picture = DepthPicture::new(window.width, window.height);
+        let mut budget = DRAWN_PER_PIXEL * picture.depth.len() + DRAWN_MORE;
         for (i, t) in model.connectivity.triangles.iter().enumerate() {
-            picture.draw(i as u32, t.map(|v| seen[v as usize]));
+            let drawn = picture.draw(i as u32, t.map(|v| seen[v as usize]));
+            if drawn > budget {
+                break;
+            }
+            budget -= drawn;
         }
         Self { seen, picture }
     }

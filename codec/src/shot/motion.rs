@@ -26,6 +26,8 @@ impl Default for Motion {
 
 /// Farthest node, 1/16 units: 16 m.
 const MAX_NODE: i32 = 1 << 26;
+/// Farthest mean of motions: uneven ticks can throw a spline far out, and a correction is added to it.
+const MAX_MEAN: i32 = 1 << 29;
 
 impl Motion {
     /// True when no later step overflows.
@@ -68,10 +70,11 @@ pub fn weighted(motions: &[&Motion], weights: &[i64], denominator: i64) -> Motio
     let mean = |values: &mut dyn Iterator<Item = i32>| {
         if is_small {
             let sum: i64 = values.zip(weights).map(|(v, w)| i64::from(v) * w).sum();
-            return by.floor(sum + denominator / 2) as i32;
+            return by.floor(sum + denominator / 2).clamp(-i64::from(MAX_MEAN), i64::from(MAX_MEAN)) as i32;
         }
         let sum: i128 = values.zip(weights).map(|(v, w)| i128::from(v) * i128::from(*w)).sum();
-        (sum + i128::from(denominator) / 2).div_euclid(i128::from(denominator)) as i32
+        let mean = (sum + i128::from(denominator) / 2).div_euclid(i128::from(denominator));
+        mean.clamp(-i128::from(MAX_MEAN), i128::from(MAX_MEAN)) as i32
     };
     let pose = Pose {
         turn: [0, 1, 2].map(|c| mean(&mut motions.iter().map(|m| m.pose.turn[c]))),
@@ -79,4 +82,30 @@ pub fn weighted(motions: &[&Motion], weights: &[i64], denominator: i64) -> Motio
     };
     let node = |i: usize| [0, 1, 2].map(|c| mean(&mut motions.iter().map(|m| m.nodes[i][c])));
     Motion { pose, nodes: (0..FINE_SIDE * FINE_SIDE).map(node).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn turned(by: i32) -> Motion {
+        Motion { pose: Pose { turn: [by, -by, 0], shift: [by; 3] }, ..Motion::default() }
+    }
+
+    #[test]
+    fn means_round_halves_up_and_end_at_the_limit() {
+        let (a, b) = (turned(1), turned(2));
+        assert_eq!(weighted(&[&a, &b], &[1, 1], 2).pose, Pose { turn: [2, -1, 0], shift: [2; 3] });
+        let far = weighted(&[&turned(MAX_SHIFT), &turned(-MAX_SHIFT)], &[1 << 40, 1 - (1 << 40)], 1);
+        assert_eq!(far.pose, Pose { turn: [MAX_MEAN, -MAX_MEAN, 0], shift: [MAX_MEAN; 3] });
+        assert!(!far.in_range() && turned(MAX_TURN).in_range() && !turned(MAX_TURN + 1).in_range());
+    }
+
+    #[test]
+    fn sixteenths_of_units_are_rounded_before_the_pose() {
+        let base = Base { positions: vec![[100, 0, -3]; GRID_SIDE * GRID_SIDE], normals: Vec::new() };
+        let nodes = vec![[7, 8, -9]; FINE_SIDE * FINE_SIDE];
+        let motion = Motion { pose: Pose { turn: [0; 3], shift: [1, 2, 3] }, nodes };
+        assert_eq!(motion.grid_positions(&base)[77], [101, 3, -1]);
+    }
 }

@@ -158,3 +158,34 @@ fn near(q: &[[i32; 3]], side: usize, node: usize, channel: usize) -> usize {
     }
     near
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn corrections_come_back(seed in 0_u32..100_000, pose in prop::array::uniform6(-300_i32..300), rare in 1_u32..40) {
+            let hash = |i: usize| (i as u32 ^ seed.wrapping_mul(747_796_405)).wrapping_mul(2_654_435_761) >> 8;
+            let mut correction = Correction { pose, ..Correction::default() };
+            for (level, side) in LEVEL_SIDES.into_iter().enumerate().filter(|(l, _)| hash(*l) % 3 > 0) {
+                let value = |i: usize| if hash(i) % rare == 0 { (hash(i + 7) % 41) as i32 - 20 } else { 0 };
+                let q: Coefficients = (0..side * side)
+                    .map(|n| if active(n, side) { [0, 1, 2].map(|c| value(level + 9 * (3 * n + c))) } else { [0; 3] })
+                    .collect();
+                if q.iter().any(|q| *q != [0; 3]) {
+                    correction.levels[level] = q;
+                }
+            }
+            let mut out = RangeEncoder::default();
+            correction.encode(&mut out, &mut MotionModels::default());
+            let bytes = out.finish();
+            let mut reader = RangeDecoder::new(&bytes, "motion");
+            prop_assert_eq!(Correction::decode(&mut reader, &mut MotionModels::default()).unwrap(), correction);
+            reader.finish().unwrap();
+        }
+    }
+}

@@ -49,17 +49,18 @@ impl DepthPicture {
     }
 
     /// Draws a front-facing triangle (clockwise in the picture, whose rows go down); pixel centres on an edge belong to the
-    /// triangle on its right or below (top-left rule), so that neighbours neither overlap nor leave gaps.
-    pub fn draw(&mut self, index: u32, corners: [Seen; 3]) {
+    /// triangle on its right or below (top-left rule), so that neighbours neither overlap nor leave gaps. Returns how many pixels were
+    /// looked at: the triangle's extent within the picture.
+    pub fn draw(&mut self, index: u32, corners: [Seen; 3]) -> usize {
         let [a, b, c] = corners;
         let (abx, aby) = (i64::from(b.x - a.x), i64::from(b.y - a.y));
         let (acx, acy) = (i64::from(c.x - a.x), i64::from(c.y - a.y));
         // Counter-clockwise as seen with y up is clockwise with y down.
         let area = acx * aby - abx * acy;
         if area <= 0 {
-            return;
+            return 0;
         }
-        let Some([columns, rows]) = self.around(corners) else { return };
+        let Some([columns, rows]) = self.around(corners) else { return 0 };
         let (px0, py0) = (*columns.start(), *rows.start());
         let (dz1, dz2) = (i64::from(b.depth - a.depth), i64::from(c.depth - a.depth));
         // Plane through the corners: depth slopes a pixel.
@@ -71,6 +72,7 @@ impl DepthPicture {
         let mut row_depth =
             (i64::from(a.depth) << SLOPE_BITS) + ((sx * ox + sy * oy) >> PX_BITS) + (1 << (SLOPE_BITS - 1));
         let mut row_edge = [0, 1, 2].map(|i: usize| edges[i].at(px0, py0));
+        let looked_at = columns.clone().count() * rows.clone().count();
         for y in rows {
             let (mut depth, mut e) = (row_depth, row_edge);
             let start = y as usize * self.width;
@@ -93,6 +95,7 @@ impl DepthPicture {
             }
             row_depth += sy;
         }
+        looked_at
     }
 }
 

@@ -21,7 +21,7 @@ impl Reciprocal {
     /// Quotient and remainder of magnitudes, for estimates below [`MAX_ESTIMATE`].
     fn divide(self, magnitude: i64, estimate: f64) -> (i64, i64) {
         let quotient = estimate as i64;
-        // The product may leave the range where the estimate is one too large; the small remainder is right all the same.
+        // The product may exceed 63 bits, the remainder does not.
         let rest = magnitude.wrapping_sub(quotient.wrapping_mul(self.divisor));
         let step = i64::from(rest >= self.divisor) - i64::from(rest < 0);
         (quotient + step, rest - step * self.divisor)

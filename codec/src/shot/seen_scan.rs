@@ -141,3 +141,44 @@ fn look(reference: &SeenScan, [x, y]: [i32; 2]) -> (i32, Option<i32>) {
     let (nx, ny) = (px + right, py + below);
     (share, on(nx, ny).then(|| reference.residual[(ny * width + nx) as usize]))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shot::carry::NOWHERE;
+    use crate::shot::raster::DepthPicture;
+
+    fn reference(mask: &[bool]) -> SeenScan {
+        let window = Window { width: 4, height: 2, offset: [0; 2] };
+        let drawn = Drawn { seen: Vec::new(), picture: DepthPicture::new(4, 2) };
+        let residual = (0..8).map(|i| 10 * i - 30).collect();
+        SeenScan { motion: Motion::default(), window, drawn, model_depth: vec![7; 8], mask: mask.to_vec(), residual }
+    }
+
+    #[test]
+    fn shares_of_a_mask_are_bilinear_and_end_at_its_border() {
+        let r = reference(&[true, true, false, false, true, true, false, false]);
+        assert_eq!(look(&r, [0, 0]).0, 1 << 16);
+        assert_eq!(look(&r, [256 + 64, 128]).0, 3 << 14);
+        assert_eq!(look(&r, [-128, 0]).0, 1 << 15);
+        assert_eq!(look(&r, [0, 256 + 192]).0, 1 << 14);
+        for off in [NOWHERE, [-257, 0], [0, -300], [4 << 8, 0], [0, 2 << 8]] {
+            assert_eq!(look(&r, off), (0, None));
+        }
+    }
+
+    #[test]
+    fn residuals_are_the_mean_of_the_references_that_have_the_pixel() {
+        let (all, left) = (reference(&[true; 8]), reference(&[true, true, false, false, true, true, false, false]));
+        let places = [vec![[100, 0], [700, 300], NOWHERE], vec![[130, 0], [700, 300], [0, 5000]]];
+        assert_eq!(expected_pixels(&places, &[&all, &left], 3).1, [(-30 - 20) / 2, 40, 0]);
+    }
+
+    #[test]
+    fn depths_stay_in_range() {
+        let mut r = reference(&[true; 8]);
+        (r.model_depth[0], r.residual[0]) = (i32::MAX - 1, i32::MAX);
+        (r.model_depth[1], r.residual[1]) = (i32::MIN, -5);
+        assert_eq!([0, 1, 2].map(|i| r.depth(i)), [MAX_DEPTH, -MAX_DEPTH, -3]);
+    }
+}

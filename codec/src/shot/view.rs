@@ -206,3 +206,52 @@ mod tests {
         }
     }
 }
+
+#[cfg(test)]
+mod limit_tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A pinhole camera 500 mm in front of the origin.
+    fn pinhole() -> View {
+        let matrix = [-800.0, 0.0, 100.0, -50_000.0, 0.0, 800.0, 80.0, -40_000.0, 0.0, 0.0, 1.0, -500.0];
+        let camera = CameraFit { matrix, max_error_px: 0.0, rms_error_px: 0.0 };
+        View::new(&camera, DVec3::ZERO, DVec3::Z).unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_seen_comes_back(p in prop::array::uniform3(-25_000_i32..25_000), offset in prop::array::uniform2(-2000_i32..2000)) {
+            let view = pinhole().moved(offset);
+            let seen = view.project(p).unwrap();
+            let at = |v: i32| f64::from(v) / 256.0;
+            let back = view.back_projection().point_mm(at(seen.x), at(seen.y), f64::from(seen.depth)) * 256.0;
+            let still = pinhole().project(p).unwrap();
+            prop_assert!((seen.x - still.x - offset[0]).abs() <= 1 && (seen.y - still.y - offset[1]).abs() <= 1);
+            let there = DVec3::from_array(p.map(f64::from));
+            prop_assert!(back.distance(there) < 4.0, "{back} for {there}");
+        }
+    }
+
+    #[test]
+    fn what_lies_behind_or_far_beside_is_not_seen() {
+        assert!(pinhole().project([0, 0, 130_000]).is_none());
+        assert!(pinhole().project([1 << 24, 0, 127_999]).is_none());
+    }
+
+    #[test]
+    fn cameras_whose_products_would_overflow_are_out_of_range() {
+        let with = |r: usize, c: usize, v: i64| {
+            let mut view = pinhole();
+            view.rows[r][c] = v;
+            view.in_range()
+        };
+        assert!(with(0, 1, (1 << 33) - 1) && !with(0, 1, 1 << 33) && !with(1, 3, i64::MIN) && !with(2, 2, 1 << 22));
+        let most = View { rows: [[(1 << 33) - 1; 4], [1 - (1 << 33); 4], [(1 << 22) - 1; 4]], axis: [1 << 15; 3] };
+        assert!(most.in_range());
+        // Farther than any moved base: no product overflows.
+        for p in [[1 << 25; 3], [-(1 << 25); 3], [1 << 25, -(1 << 25), 0]] {
+            most.moved([1 << 20, -(1 << 20)]).project(p);
+        }
+    }
+}

@@ -1,6 +1,8 @@
 //! A second writer of payloads, straight from FORMAT.md: every field can be given a value that the codec's own writer
 //! would refuse. Payloads are lists of labelled bytes, which become the comments of the vector files.
 
+pub mod shots;
+
 use gv3_codec::bits::attributes;
 use gv3_codec::bits::bytes::{put_varint, zigzag64};
 use gv3_codec::bits::connectivity;
@@ -47,6 +49,14 @@ impl Header {
             ("position step, mm", self.step_mm.to_le_bytes().into()),
         ]
     }
+}
+
+/// A stream header of shots with its eight steps.
+pub fn shots_header(steps: [u64; 8]) -> Payload {
+    let mut payload = Header { version: 2, mode: 1, ..Header::default() }.payload();
+    payload.pop();
+    payload.push(("steps", steps.iter().flat_map(|s| varint(*s)).collect()));
+    payload
 }
 
 /// Texture coordinates of a group.
