@@ -1,11 +1,13 @@
-//! What crosses a cable or a file boundary: the session container and raw recordings.
+//! What crosses a cable or a file boundary: the session container, raw recordings and device protocols.
 //!
 //! [`session`] writes, reads, verifies and recovers session files; SESSION.md is their byte-by-byte description.
 //! [`raw`] does the same for the camera's pictures; RAW.md describes it.
+//! [`gv3`] is the vendor protocol of projectors; GV3.md describes it.
 //! No maths, no devices: payloads of the codec pass through as byte slices.
 #![forbid(unsafe_code)]
 
 mod atomic_file;
+pub mod gv3;
 pub mod raw;
 pub mod session;
 

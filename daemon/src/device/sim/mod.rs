@@ -6,6 +6,9 @@
 mod board;
 mod camera;
 mod face;
+mod follow;
+mod gv3_descriptors;
+mod gv3_device;
 mod lens;
 mod motion;
 mod noise;
@@ -32,6 +35,7 @@ use std::collections::VecDeque;
 
 pub use board::BoardScene;
 pub use camera::SimCamera;
+pub use gv3_device::{Gv3Device, Light, Stall, StoredPattern};
 pub use projector::SimProjector;
 pub use scene::{Placement, SceneConfig};
 pub use sequence::SequenceScene;
@@ -240,6 +244,8 @@ pub struct SimWorld {
     projector_size_px: [u32; 2],
     patterns: Vec<ShownPattern>,
     shown: Shown,
+    /// What the device last followed shows, with the number of its patterns.
+    followed: (u64, Light),
     clock_nanos: u64,
     triggers: u64,
     /// Doubled and stalled frames still to be delivered.
@@ -279,6 +285,7 @@ impl SimWorld {
             projector_size_px: [calibration.projector.width_px, calibration.projector.height_px],
             patterns: Vec::new(),
             shown: Shown::Dark,
+            followed: (0, Light::Dark),
             clock_nanos: 0,
             triggers: 0,
             repeats: VecDeque::new(),
