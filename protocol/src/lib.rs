@@ -1,12 +1,14 @@
-//! What crosses a cable or a file boundary: the session container and raw recordings.
+//! What crosses a cable or a file boundary: the session container, raw recordings, the trigger's line.
 //!
 //! [`session`] writes, reads, verifies and recovers session files; SESSION.md is their byte-by-byte description.
 //! [`raw`] does the same for the camera's pictures; RAW.md describes it.
+//! [`trigger`] speaks with a serial trigger controller; TRIGGER.md describes it.
 //! No maths, no devices: payloads of the codec pass through as byte slices.
 #![forbid(unsafe_code)]
 
 mod atomic_file;
 pub mod raw;
 pub mod session;
+pub mod trigger;
 
 pub use atomic_file::AtomicFile;
