@@ -18,4 +18,6 @@ pub mod light;
 pub mod measure;
 pub mod pipeline;
 pub mod replay;
+pub mod usb_device;
 pub mod view;
+pub mod virtual_scanner;

@@ -3,7 +3,6 @@
 //! [`session`] writes, reads, verifies and recovers session files; SESSION.md is their byte-by-byte description.
 //! [`raw`] does the same for the camera's pictures; RAW.md describes it.
 //! [`gv3`] is the vendor protocol of projectors; GV3.md describes it.
-//! [`raw`] does the same for the camera's pictures; RAW.md describes it.
 //! [`trigger`] speaks with a serial trigger controller; TRIGGER.md describes it.
 //! No maths, no devices: payloads of the codec pass through as byte slices.
 #![forbid(unsafe_code)]

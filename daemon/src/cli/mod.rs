@@ -18,6 +18,7 @@ mod raw;
 mod reconstruct;
 mod recover;
 mod verify;
+mod virtual_scanner;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
@@ -58,6 +59,7 @@ enum Command {
     Flatten(flatten::Flatten),
     ExportRaw(raw::ExportRaw),
     Accuracy(accuracy::Accuracy),
+    VirtualScanner(virtual_scanner::VirtualScannerCommand),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -104,6 +106,7 @@ pub fn main() -> ExitCode {
         Command::Flatten(c) => c.run(),
         Command::ExportRaw(c) => c.run(),
         Command::Accuracy(c) => c.run(),
+        Command::VirtualScanner(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

@@ -88,7 +88,7 @@ enum Format {
     Bmp,
 }
 
-fn size(text: &str) -> Result<[u32; 2], String> {
+pub(super) fn size(text: &str) -> Result<[u32; 2], String> {
     let sides = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     match sides {
         Some(sides) if sides.iter().all(|n| (1..=MAX_SIDE_PX).contains(n)) => Ok(sides),

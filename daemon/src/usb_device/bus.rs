@@ -205,15 +205,8 @@ impl Bus {
     }
 }
 
-/// A control transfer: standard requests by the descriptors, all others by the device.
 fn control(device: &mut dyn UsbDevice, setup: &Setup, data: &[u8]) -> Outcome {
-    let reply = device.descriptors().answer(setup).unwrap_or_else(|| device.control(setup, data));
-    match (setup.request_type, setup.request, setup.value) {
-        (0x00, 9, _) => device.reset(),
-        (0x02, 1, 0) => device.clear_halt(setup.index as u8),
-        _ => {}
-    }
-    match reply {
+    match device.control(setup, data) {
         ControlReply::Data(mut bytes) => {
             bytes.truncate(usize::from(setup.length));
             Outcome::Data(bytes)
@@ -256,7 +249,9 @@ pub(crate) mod tests {
             &self.descriptors
         }
         fn control(&mut self, setup: &Setup, _: &[u8]) -> ControlReply {
-            if setup.is_in() { ControlReply::Data(vec![0x5a; 300]) } else { ControlReply::Done }
+            if let Some(reply) = self.descriptors.answer(setup) {
+                reply
+            } else if setup.is_in() { ControlReply::Data(vec![0x5a; 300]) } else { ControlReply::Done }
         }
         fn receive(&mut self, endpoint: u8, data: &[u8]) -> bool {
             // A device bounds what it stores.

@@ -140,6 +140,15 @@ impl Descriptors {
         Self { speed: configuration.speed, identity, configuration: configuration.finish() }
     }
 
+    /// A device that brings its own descriptors; none when the device descriptor is no such thing.
+    pub fn read(speed: Speed, device: &[u8], configuration: Vec<u8>) -> Option<Self> {
+        let &[18, 1, _, _, c, s, p, _, v0, v1, p0, p1, r0, r1, _, _, _, _] = device else { return None };
+        let [vendor_id, product_id, release] = [[v0, v1], [p0, p1], [r0, r1]].map(u16::from_le_bytes);
+        let [manufacturer, product, serial] = [(); 3].map(|()| String::new());
+        let identity = Identity { vendor_id, product_id, release, class: [c, s, p], manufacturer, product, serial };
+        Some(Self { speed, identity, configuration })
+    }
+
     /// Class, subclass and protocol of every interface.
     pub fn interfaces(&self) -> Vec<[u8; 3]> {
         self.parts().filter(|d| d[1] == 4).map(|d| [d[5], d[6], d[7]]).collect()
@@ -165,14 +174,15 @@ impl Descriptors {
         endpoints
     }
 
-    /// Descriptors within the configuration, each whole by construction.
+    /// Descriptors within the configuration; interfaces and endpoints are whole.
     fn parts(&self) -> impl Iterator<Item = &[u8]> {
         let mut rest = &self.configuration[..];
         std::iter::from_fn(move || {
-            let (part, after) = rest.split_at_checked(usize::from(*rest.first()?))?;
+            let (part, after) = rest.split_at_checked(usize::from(*rest.first()?).max(1))?;
             rest = after;
             Some(part)
         })
+        .filter(|d| d.len() >= 2 && !(d[1] == 4 && d.len() < 9) && !(d[1] == 5 && d.len() < 7))
     }
 
     /// Device descriptor.
@@ -310,6 +320,9 @@ pub(crate) mod tests {
         assert_eq!(get(0x0f00), Some(ControlReply::Stall));
         let class = Setup { request_type: 0x21, request: 6, value: 0, index: 0, length: 0 };
         assert_eq!(descriptors.answer(&class), None);
+        let own = Descriptors::read(Speed::High, &device, descriptors.configuration().to_vec()).unwrap();
+        assert_eq!((own.device(), own.endpoints()), (device, descriptors.endpoints()));
+        assert_eq!(Descriptors::read(Speed::High, &device[1..], vec![]), None);
         let report = Setup { request_type: 0x81, request: 6, value: 0x2200, index: 0, length: 64 };
         assert_eq!(descriptors.answer(&report), None);
     }

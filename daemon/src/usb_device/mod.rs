@@ -90,20 +90,17 @@ pub enum Transmit {
     Stall,
 }
 
-/// A device behind its descriptors. The framework answers the standard requests; a device answers those of its class and moves
-/// data. It never blocks: what it cannot give yet is asked for again.
+/// A device behind its descriptors. It never blocks: what it cannot give yet is asked for again.
 pub trait UsbDevice: Send {
     /// What the host is told.
     fn descriptors(&self) -> &Descriptors;
-    /// A class or vendor request, or one for a descriptor that [`Descriptors`] does not hold.
+    /// A control transfer, standard requests included; [`Descriptors::answer`] knows those.
     fn control(&mut self, setup: &Setup, data: &[u8]) -> ControlReply;
     /// Data for OUT endpoint `endpoint` (1..=15); false halts it.
     fn receive(&mut self, endpoint: u8, data: &[u8]) -> bool;
     /// At most `max_bytes` from IN endpoint `endpoint` (1..=15).
     fn transmit(&mut self, endpoint: u8, max_bytes: usize) -> Transmit;
-    /// The host has cleared the halt of an endpoint address (bit 7: IN).
-    fn clear_halt(&mut self, _address: u8) {}
-    /// The host has chosen a configuration, or has come or gone.
+    /// A host has come or gone, or resets the bus.
     fn reset(&mut self) {}
     /// The cable is to be pulled; asked for after every change, and true once a pull.
     fn take_unplug(&mut self) -> bool {

@@ -388,7 +388,12 @@ impl SimWorld {
     }
 
     fn fault_of(&self, trigger: u64) -> Option<FaultKind> {
-        let count = self.patterns.len() as u64;
+        self.fault_at(trigger, self.patterns.len() as u16)
+    }
+
+    /// What goes wrong with a picture of a run, in sets of `count` above 0.
+    pub(crate) fn fault_at(&self, trigger: u64, count: u16) -> Option<FaultKind> {
+        let count = u64::from(count);
         let hit = |f: &&Fault| f.set == trigger / count && u64::from(f.picture) == trigger % count;
         self.config.faults.iter().find(hit).map(|f| f.kind)
     }
