@@ -1,5 +1,6 @@
 //! A rig's configuration: which devices, which patterns, when, and with what calibration.
 
+use super::gv3_usb::UsbTransportKind;
 use super::recorded::{RecordedConfig, stored_config};
 use super::{CameraSettings, DeviceError, SequenceTiming, TriggerSource};
 use crate::device::sim::{SceneConfig, SimConfig};
@@ -17,6 +18,9 @@ pub enum Backend {
     Simulated,
     /// A raw recording, as `[recorded]` names it.
     Recorded,
+    /// A projector that speaks the gv3 vendor protocol over USB.
+    #[serde(rename = "gv3_usb")]
+    Gv3Usb,
 }
 
 /// The camera of a rig.
@@ -37,6 +41,40 @@ pub struct CameraConfig {
 pub struct ProjectorConfig {
     /// Kind of device.
     pub backend: Backend,
+    /// Who does the transfers of a USB projector; nusb when nothing is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub transport: Option<UsbTransportKind>,
+    /// Serial number of the USB projector meant, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial: Option<String>,
+    /// Where the USB projector meant is plugged in: bus and ports as in `3-1.2`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bus_path: Option<String>,
+}
+
+impl ProjectorConfig {
+    /// A projector that needs no more said.
+    pub fn of(backend: Backend) -> Self {
+        Self { backend, transport: None, serial: None, bus_path: None }
+    }
+
+    /// Whether it is a USB projector in this process.
+    pub fn is_simulated(&self) -> bool {
+        self.transport == Some(UsbTransportKind::Simulated)
+    }
+
+    /// Only USB projectors have a transport, a serial number and a place.
+    fn validate(&self) -> Result<(), DeviceError> {
+        let fields = [
+            ("projector.transport", self.transport.is_some()),
+            ("projector.serial", self.serial.is_some()),
+            ("projector.bus_path", self.bus_path.is_some()),
+        ];
+        match fields.into_iter().find(|(_, is_given)| *is_given && self.backend != Backend::Gv3Usb) {
+            Some((field, _)) => Err(DeviceError::config(field, "only for the backend \"gv3_usb\"; remove it")),
+            None => Ok(()),
+        }
+    }
 }
 
 /// Everything about a rig, as in its TOML file.
@@ -82,7 +120,7 @@ impl RigConfig {
             name: "simulated scanner".into(),
             calibration_file: None,
             camera: CameraConfig { backend: Backend::Simulated, width_px: 640, height_px: 480 },
-            projector: ProjectorConfig { backend: Backend::Simulated },
+            projector: ProjectorConfig::of(Backend::Simulated),
             timing: SequenceTiming { picture_period_nanos: 5_555_556, exposure_nanos: 5_000_000 },
             limits: Limits::default(),
             processing: ProcessingConfig::default(),
@@ -172,6 +210,7 @@ impl RigConfig {
         self.sequence.validate()?;
         self.timing.validate()?;
         self.limits.validate()?;
+        self.projector.validate()?;
         self.sim.validate(self.sequence.patterns.len())?;
         let calibration = self.calibration()?;
         let pairs = [

@@ -1,7 +1,9 @@
 //! Cameras and projectors behind blocking, object-safe traits; [`open`] is the only place that names concrete types.
 
 pub mod config;
+pub mod exposure;
 pub mod frame;
+pub mod gv3_usb;
 pub mod recorded;
 pub mod sim;
 
@@ -12,6 +14,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 pub use config::{Backend, CameraConfig, ProjectorConfig, RigConfig};
+pub use exposure::{Exposure, ExposureFeed};
 pub use frame::{Frame, PatternIndex};
 pub use recorded::{Pace, RecordedConfig};
 
@@ -210,6 +213,10 @@ pub trait Projector: Send {
     /// # Errors
     /// [`DeviceError::Disconnected`] when the projector is gone.
     fn stop(&mut self) -> Result<(), DeviceError>;
+    /// What it reports of every exposure while it plays; `None` when it does not tell.
+    fn exposures(&self) -> Option<ExposureFeed> {
+        None
+    }
 }
 
 /// The opened devices of a rig and what is needed to use them.
@@ -250,7 +257,19 @@ pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
                 let camera = recorded::RecordedCamera::new(Arc::clone(&deck));
                 (Box::new(camera), Box::new(recorded::RecordedProjector::new(deck)))
             }
-            (Backend::Simulated, Backend::Recorded) | (Backend::Recorded, Backend::Simulated) => {
+            (Backend::Simulated, Backend::Gv3Usb) if config.projector.is_simulated() => {
+                let (camera, projector) = gv3_usb::open_simulated(config)?;
+                (Box::new(camera), Box::new(projector))
+            }
+            (Backend::Simulated, Backend::Gv3Usb) => {
+                let reason =
+                    "a simulated camera sees no real light; take a real camera, or the transport \"simulated\"";
+                return Err(DeviceError::config("camera.backend", reason));
+            }
+            (Backend::Gv3Usb, _) => {
+                return Err(DeviceError::config("camera.backend", "gv3_usb is a projector"));
+            }
+            (Backend::Simulated, Backend::Recorded) | (Backend::Recorded, _) => {
                 let reason = "camera and projector must both be recorded, or neither";
                 return Err(DeviceError::config("projector.backend", reason));
             }

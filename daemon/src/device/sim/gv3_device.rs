@@ -234,7 +234,9 @@ impl Gv3Device {
         let reply = self.replies.front_mut()?;
         let part: Vec<u8> = reply.drain(..max.min(reply.len())).collect();
         // A packet that is not full ends the reply; else an empty one has to, unless it went with this transfer.
-        if reply.is_empty() && (part.len() < max || part.len() % usb::BULK_PACKET_BYTES != 0 || part.is_empty()) {
+        if reply.is_empty()
+            && (part.len() < max || !part.len().is_multiple_of(usb::BULK_PACKET_BYTES) || part.is_empty())
+        {
             self.replies.pop_front();
         }
         Some(part)
@@ -285,6 +287,11 @@ impl Gv3Device {
     /// Whether transfers at an endpoint are to be stalled.
     pub fn is_halted(&self, address: u8) -> bool {
         endpoint(address).is_ok_and(|i| self.halted[i])
+    }
+
+    /// The power goes: dark, and of no more use.
+    pub fn power_off(&mut self) {
+        self.reset();
     }
 
     /// Back to the state after power-on; the clock goes on, and a fault stays.
