@@ -1,15 +1,15 @@
 //! Numbers and times of pictures, made of what the driver stamps on its buffers.
 //!
 //! Drivers stamp by CLOCK_MONOTONIC and say so; uvcvideo can be told to use CLOCK_BOOTTIME or CLOCK_REALTIME, and
-//! v4l2loopback says nothing. So the clock is told by its time: it is the one that has just passed the stamp. From then on
+//! v4l2loopback says nothing. So the clock is told by its time: it is the one that is nearest to the stamp. From then on
 //! times are monotonic, and a picture of before the run's start, left over in a queue, is known as such.
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// How far a stamp may be ahead of its clock, nanoseconds: rounding to microseconds.
-const AHEAD_NANOS: u64 = 1_000_000;
-/// How old a stamp may be, nanoseconds; less than clocks differ by, unless the machine hardly slept.
-const MAX_AGE_NANOS: u64 = 3_600_000_000_000;
+/// How far a stamp may be ahead of its clock, nanoseconds: some drivers stamp with the end that a picture is to have.
+const AHEAD_NANOS: i128 = 1_000_000_000;
+/// How old a stamp may be, nanoseconds.
+const MAX_AGE_NANOS: i128 = 3_600_000_000_000;
 
 /// The kernel's clocks at one moment, nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,12 +29,12 @@ impl Clocks {
         Self { monotonic, boot, real: nanos(ClockId::Realtime) }
     }
 
-    /// A stamp in monotonic time, by the clock that passed it last; the monotonic one if several did so at once.
+    /// A stamp in monotonic time, by the clock that is nearest to it; the monotonic one if several are.
     pub fn monotonic_of(&self, stamp: u64) -> Option<u64> {
-        let age = |clock: u64| clock.saturating_add(AHEAD_NANOS).checked_sub(stamp).filter(|age| *age < MAX_AGE_NANOS);
-        let ages = [self.monotonic, self.boot, self.real].map(age);
-        let age = ages.into_iter().flatten().min()?.saturating_sub(AHEAD_NANOS);
-        self.monotonic.checked_sub(age)
+        let ahead = |clock: u64| i128::from(stamp) - i128::from(clock);
+        let ahead = [self.monotonic, self.boot, self.real].map(ahead).into_iter().min_by_key(|ahead| ahead.abs())?;
+        let is_near = (-MAX_AGE_NANOS..=AHEAD_NANOS).contains(&ahead);
+        u64::try_from(i128::from(self.monotonic) + ahead).ok().filter(|_| is_near)
     }
 }
 
@@ -77,11 +77,11 @@ mod tests {
         let clocks = Clocks { monotonic: 5000 * S, boot: 9000 * S, real: 1_700_000_000 * S };
         for clock in [clocks.monotonic, clocks.boot, clocks.real] {
             assert_eq!(clocks.monotonic_of(clock - 20_000_000), Some(clocks.monotonic - 20_000_000));
-            assert_eq!(clocks.monotonic_of(clock + 500_000), Some(clocks.monotonic));
+            assert_eq!(clocks.monotonic_of(clock + 500_000), Some(clocks.monotonic + 500_000));
         }
         assert_eq!(clocks.monotonic_of(0), None);
         assert_eq!(clocks.monotonic_of(u64::MAX), None);
-        assert_eq!(clocks.monotonic_of(9001 * S), None);
+        assert_eq!(clocks.monotonic_of(9002 * S), None);
         // One clock for two: a machine that never slept.
         let awake = Clocks { boot: 5000 * S + 40, ..clocks };
         assert_eq!(awake.monotonic_of(4999 * S), Some(4999 * S));
@@ -92,7 +92,7 @@ mod tests {
     #[test]
     fn clocks_of_this_machine_agree_with_themselves() {
         let clocks = Clocks::now();
-        assert!(clocks.boot + AHEAD_NANOS >= clocks.monotonic && clocks.real > clocks.boot);
+        assert!(clocks.boot + S >= clocks.monotonic && clocks.real > clocks.boot);
         assert!(Clocks::now().monotonic >= clocks.monotonic);
     }
 
