@@ -152,6 +152,21 @@ fn a_repeated_request_is_answered_and_not_done_again() {
 }
 
 #[test]
+fn what_a_controller_does_not_know_is_refused_and_what_is_damaged_rejected() {
+    let mut host = Host::new();
+    let said = |host: &mut Host, line: &str| {
+        host.model.receive(line.as_bytes());
+        messages(&host.model.take_output(usize::MAX))
+    };
+    let refused = Message::Reply { id: 8, answer: Answer::Refused(Refusal::Syntax) };
+    assert_eq!(said(&mut host, &seal("8 strobe 100")), [refused]);
+    for line in ["8 status*0000\n", "status\n", &seal("status"), &"x".repeat(500), "\n"] {
+        let expected = if line.ends_with('x') { vec![] } else { vec![Message::Event(Event::Reject)] };
+        assert_eq!(said(&mut host, line), expected, "{line}");
+    }
+}
+
+#[test]
 fn a_host_that_does_not_read_loses_events_and_is_told_how_many() {
     let mut host = Host::new();
     host.ask(Command::Arm(ArmSettings { period_nanos: 100_000, width_nanos: 10_000, report_every: 1 }));

@@ -2,7 +2,7 @@
 
 use super::gv3_usb::UsbTransportKind;
 use super::recorded::{RecordedConfig, stored_config};
-use super::{CameraSettings, DeviceError, SequenceTiming, TriggerSource};
+use super::{CameraSettings, DeviceError, SequenceTiming, TriggerConfig, TriggerSource, V4lConfig};
 use crate::device::sim::{SceneConfig, SimConfig};
 use crate::files::ProcessingConfig;
 use crate::light::{Calibration, Distortion, Intrinsics, LightError, Limits, PatternSequence, Rigid};
@@ -21,6 +21,8 @@ pub enum Backend {
     /// A projector that speaks the gv3 vendor protocol over USB.
     #[serde(rename = "gv3_usb")]
     Gv3Usb,
+    /// A camera behind Video4Linux, as `[camera.v4l]` names it.
+    V4l,
 }
 
 /// The camera of a rig.
@@ -33,6 +35,9 @@ pub struct CameraConfig {
     pub width_px: u32,
     /// Rows.
     pub height_px: u32,
+    /// Which V4L2 camera, and how it is set up.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub v4l: Option<V4lConfig>,
 }
 
 /// The projector of a rig.
@@ -90,6 +95,9 @@ pub struct RigConfig {
     pub camera: CameraConfig,
     /// The projector.
     pub projector: ProjectorConfig,
+    /// The trigger controller, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trigger: Option<TriggerConfig>,
     /// When patterns are shown.
     pub timing: SequenceTiming,
     /// Limits for reconstruction.
@@ -119,8 +127,9 @@ impl RigConfig {
         Self {
             name: "simulated scanner".into(),
             calibration_file: None,
-            camera: CameraConfig { backend: Backend::Simulated, width_px: 640, height_px: 480 },
+            camera: CameraConfig { backend: Backend::Simulated, width_px: 640, height_px: 480, v4l: None },
             projector: ProjectorConfig::of(Backend::Simulated),
+            trigger: None,
             timing: SequenceTiming { picture_period_nanos: 5_555_556, exposure_nanos: 5_000_000 },
             limits: Limits::default(),
             processing: ProcessingConfig::default(),
@@ -212,6 +221,8 @@ impl RigConfig {
         self.limits.validate()?;
         self.projector.validate()?;
         self.sim.validate(self.sequence.patterns.len())?;
+        self.camera.v4l.as_ref().map_or(Ok(()), V4lConfig::validate)?;
+        self.trigger.as_ref().map_or(Ok(()), |trigger| trigger.validate(&self.timing))?;
         let calibration = self.calibration()?;
         let pairs = [
             ("camera.width_px", self.camera.width_px, calibration.camera.width_px),

@@ -71,6 +71,7 @@ pub(super) fn stored_config(recorded: RecordedConfig) -> Result<RigConfig, Devic
     let mut config: RigConfig = toml::from_str(reader.configuration()).map_err(unreadable)?;
     config.camera.backend = super::Backend::Recorded;
     config.projector = super::ProjectorConfig::of(super::Backend::Recorded);
+    config.trigger = None;
     config.recorded = Some(recorded);
     config.validate()?;
     Ok(config)

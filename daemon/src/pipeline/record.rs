@@ -188,9 +188,13 @@ pub(super) fn capture(
     rig.projector.load(&rig.sequence)?;
     rig.camera.start()?;
     rig.projector.play(&rig.timing)?;
+    if let Some(trigger) = &mut rig.trigger {
+        trigger.arm(&rig.timing)?;
+    }
     let collected = collect(&mut rig, periods, stop, out);
-    // Both are told to stop even if one fails; the first error counts.
-    let stopped = rig.projector.stop().and(rig.camera.stop());
+    // All are told to stop even if one fails; the first error counts.
+    let disarmed = rig.trigger.as_mut().map_or(Ok(0), |trigger| trigger.disarm());
+    let stopped = disarmed.map(|_| ()).and(rig.projector.stop()).and(rig.camera.stop());
     let collected = collected?;
     stopped?;
     Ok(collected)

@@ -87,11 +87,12 @@ impl TriggerModel {
     /// Takes bytes from the host, in pieces of any length, at the present time of the clock.
     pub fn receive(&mut self, bytes: &[u8]) {
         let mut requests = Vec::new();
-        self.reader.feed(bytes, |line| requests.push(line.map(Request::decode)));
+        self.reader.feed(bytes, |line| requests.push(line.map(|body| (Request::id_of(body), Request::decode(body)))));
         for request in requests {
             match request {
-                Ok(Ok(request)) => self.answer(request),
-                Ok(Err(_)) | Err(_) => self.event(Event::Reject),
+                Ok((_, Ok(Request { id, command }))) => self.answer(id, Some(command)),
+                Ok((Ok(id), Err(_))) => self.answer(id, None),
+                Ok((Err(_), _)) | Err(_) => self.event(Event::Reject),
             }
         }
     }
@@ -128,13 +129,14 @@ impl TriggerModel {
         std::mem::replace(&mut self.output, rest)
     }
 
-    fn answer(&mut self, request: Request) {
+    /// Answers a request; one whose command is not understood, too.
+    fn answer(&mut self, id: u16, command: Option<Command>) {
         let answer = match &self.last_reply {
-            Some((id, answer)) if *id == request.id => answer.clone(),
-            _ => self.perform(request.command),
+            Some((last, answer)) if *last == id => answer.clone(),
+            _ => command.map_or(Answer::Refused(Refusal::Syntax), |command| self.perform(command)),
         };
-        self.last_reply = Some((request.id, answer.clone()));
-        let line = Message::Reply { id: request.id, answer }.encode();
+        self.last_reply = Some((id, answer.clone()));
+        let line = Message::Reply { id, answer }.encode();
         if self.output.len() + line.len() <= MAX_OUTPUT_BYTES {
             self.output.extend_from_slice(line.as_bytes());
         }

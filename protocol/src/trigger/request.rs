@@ -76,6 +76,11 @@ impl Request {
         seal(&format!("{} {}", self.id, self.command))
     }
 
+    /// Number of a request, whatever follows it.
+    pub(super) fn id_of(body: &str) -> Result<u16, TriggerError> {
+        read_id(&mut Fields::new(body))
+    }
+
     /// Reads the body of a line. Ranges of [`ArmSettings`] are the controller's to check.
     ///
     /// # Errors
