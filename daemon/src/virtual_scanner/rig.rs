@@ -185,6 +185,8 @@ pub struct VirtualRig {
     slower: f64,
     /// Start of the run and pulses in it.
     run: Option<(u64, u64)>,
+    /// When the projector began to play, and its steps since; a projector that begins anew begins with its first pattern.
+    steps: (u64, u64),
     pulses: u64,
     faults: Vec<PulseFault>,
     pulled: BTreeSet<DeviceKind>,
@@ -211,6 +213,7 @@ impl VirtualRig {
             begin: (Instant::now(), 0),
             slower,
             run: None,
+            steps: (0, 0),
             pulses: 0,
             faults,
             pulled: BTreeSet::new(),
@@ -318,19 +321,24 @@ impl VirtualRig {
             }
         };
         self.run = Some((first, number + 1));
-        let shown = self.shown(number);
+        let shown = self.shown();
         let fault = self.fault();
         let run_nanos = time_nanos - first;
         let exposure_nanos = self.is_streaming().then_some(self.camera.exposure_nanos);
         Pulse { number, time_nanos, run_nanos, period_nanos, shown, exposure_nanos, fault, stream: self.camera.stream }
     }
 
-    fn shown(&self, number: u64) -> Option<(PatternIndex, u16)> {
+    /// What the projector shows at a pulse; it steps with every one.
+    fn shown(&mut self) -> Option<(PatternIndex, u16)> {
         let count = self.projector.patterns_in_order().count() as u16;
         match self.projector.light() {
             Light::Dark => None,
             Light::Still(pattern) => Some((PatternIndex(pattern), count)),
-            Light::Playing { .. } => Some((PatternIndex((number % u64::from(count.max(1))) as u16), count)),
+            Light::Playing { start_nanos, .. } => {
+                let steps = if self.steps.0 == start_nanos { self.steps.1 } else { 0 };
+                self.steps = (start_nanos, steps + 1);
+                Some((PatternIndex((steps % u64::from(count.max(1))) as u16), count))
+            }
         }
     }
 

@@ -1,0 +1,98 @@
+#!/usr/bin/env bash
+# A whole capture through a real kernel, in the virtual-machine lab: `gv3 capture` in the guest with V4L2 camera, vendor-protocol
+# projector and serial trigger, which are `gv3 virtual-scanner` on the host; then the same with faults. Every picture must be
+# the one that the simulator in process takes at its place, in sets that are whole, or not be there at all.
+# Exit code 0 when all is well or there is no lab, 1 otherwise. SETS (default 60) is the length of the clean run.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+lab=${GV3_LAB:-../shared/lab}
+cache=${LAB_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/gv3-lab}
+if [ ! -x "$lab/lab-run" ] || [ ! -e "$cache/base.cpio" ]; then
+    echo "skipped: no lab at $lab (GV3_LAB), or lab-build was not run"
+    exit 0
+fi
+sets=${SETS:-60}
+if [ -z "${GV3:-}" ]; then
+    cargo build --quiet --locked -p gv3
+    GV3=${CARGO_TARGET_DIR:-target}/debug/gv3
+fi
+
+work=$(mktemp -d)
+scanner=
+# Only what was started here is ended.
+trap 'kill $scanner 2>/dev/null || true; rm -rf "$work"' EXIT
+mkdir "$work/share"
+strip -o "$work/share/gv3" "$GV3"
+
+# The built-in rig at ten pictures a second, which the emulated machine keeps up with; simulated, and as devices.
+sed 's/^picture_period_nanos = .*/picture_period_nanos = 100000000/' config/simulated.toml >"$work/share/simulated.toml"
+as_devices() { # with or without a trigger controller
+    sed -e '/^\[camera\]/,/^\[projector\]/s/^backend = .*/backend = "v4l"/' \
+        -e '/^\[projector\]/,/^\[timing\]/s/^backend = .*/backend = "gv3_usb"/' "$work/share/simulated.toml"
+    printf '\n[camera.v4l]\nname = "gv3 virtual camera"\n'
+    [ "$1" = without ] || printf '\n[trigger]\nbackend = "serial"\nport = "/dev/ttyACM0"\n'
+}
+as_devices with >"$work/share/trigger.toml"
+as_devices without >"$work/share/projector.toml"
+
+"$GV3" capture --raw "$work/expected-raw" --config "$work/share/simulated.toml" --seconds "$(awk "BEGIN{print $sets * 0.6 + 6}")" >/dev/null
+"$GV3" export-raw "$work/expected-raw" -o "$work/expected" >/dev/null
+
+# name, rig, sets, what the guest does instead of `gv3 capture`'s plain run (or nothing), then options of the virtual scanner
+run() {
+    name=$1 rig=$2 count=$3 shift_by=3
+    shift $shift_by
+    devices=camera,projector
+    sockets=("$work/$name-usb/camera.sock" "$work/$name-usb/projector.sock")
+    wait_for="/dev/video1"
+    if [ "$rig" = trigger ]; then
+        devices+=,trigger
+        sockets+=("$work/$name-usb/trigger.sock")
+        wait_for+=" /dev/ttyACM0"
+    fi
+    echo "== $name"
+    "$GV3" virtual-scanner --config "$work/share/simulated.toml" --devices "$devices" --redir "$work/$name-usb" "$@" \
+        >"$work/$name.scanner" 2>&1 &
+    scanner=$!
+    for _ in $(seq 100); do [ -S "${sockets[-1]}" ] && break; sleep 0.1; done
+    redirections=()
+    for socket in "${sockets[@]}"; do redirections+=(--redir "$socket"); done
+    status=0
+    "$lab/lab-run" --timeout 280 --udev --share "$work/share" --out "$work/$name" "${redirections[@]}" -c "
+        wait-for $wait_for; cd /share/share
+        ./gv3 capture --raw /out/raw --config $rig.toml --seconds $(awk "BEGIN{print $count * 0.6}") --json >/out/report 2>/out/messages" \
+        || status=$?
+    kill $scanner 2>/dev/null || true
+    wait $scanner 2>/dev/null || true
+    sed 's/^/   /' "$work/$name/messages"
+}
+
+fail() {
+    echo "FAILED: $*"
+    exit 1
+}
+
+field() { # of a report, a whole number
+    sed -n "s/.*\"$2\": \([0-9]*\).*/\1/p" "$work/$1/report" | head -n 1
+}
+
+# Every set of a run equals the simulator's of the same tick; at least `least` of them.
+compare() {
+    name=$1 least=$2
+    "$GV3" export-raw "$work/$name/raw" -o "$work/$name/pictures" >/dev/null
+    same=0
+    for folder in "$work/$name/pictures"/set_*; do
+        [ "$(ls "$folder"/*.png | wc -l)" = 6 ] || continue
+        for picture in "$folder"/*.png; do
+            cmp "$picture" "$work/expected/$(basename "$folder")/$(basename "$picture")" || fail "$name: another picture"
+        done
+        same=$((same + 1))
+    done
+    echo "   $same sets of six pictures equal the simulator's"
+    [ "$same" -ge "$least" ] || fail "$name: fewer than $least sets"
+}
+
+run clean trigger "$sets"
+[ $status = 0 ] || fail "clean: status $status"
+[ "$(field clean frame_sets)" = "$sets" ] || fail "clean: $(cat "$work/clean/report")"
+compare clean "$sets"
