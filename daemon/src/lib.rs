@@ -6,6 +6,7 @@
 //! light::triangulate --PointGrid--> light::grid_mesh --TriMesh--> codec::seed::Encoder --EncodedGroup-->
 //! protocol::session writer --bytes--> file
 //! raw: Frame --pipeline::raw--> protocol::raw writer --bytes--> folder --device::recorded--> Frame
+//! virtual scanner: sim::SimWorld --GreyPicture--> virtual_scanner --transfers--> usb_device --bytes--> USB/IP or usbredir
 //! replay: file --StoredGroup--> codec::seed::Player --Scan at time t--> files, view, measure
 //! ```
 #![deny(unsafe_code)]

@@ -180,7 +180,8 @@ fn exposure_gain_and_size_are_the_cameras_own() {
     let settings = VirtualConfig { camera_size_px: Some([320, 500]), ..camera_alone(&[]) };
     let VirtualScanner { devices, mut clock } = scanner(&settings, &config);
     let (mut host, mut now) = (Host::new(&devices[0].1), Instant::now());
-    let get = |host: &mut Host, entity, selector, length| host.control([0xa1, 0x81, 0, selector, 0, entity, length, 0], &[]);
+    let get =
+        |host: &mut Host, entity, selector, length| host.control([0xa1, 0x81, 0, selector, 0, entity, length, 0], &[]);
     assert_eq!(get(&mut host, 1, 4, 4), Outcome::Data(vec![50, 0, 0, 0]));
     assert_eq!(get(&mut host, 2, 4, 2), Outcome::Data(vec![16, 0]));
     assert_eq!(get(&mut host, 9, 4, 2), Outcome::Stall);
@@ -196,7 +197,8 @@ fn exposure_gain_and_size_are_the_cameras_own() {
     host.begin_stream(55_555);
     let amplified = host.payload(&mut clock, &mut now);
     // Where there is light enough for the noise to go both ways.
-    let bright = |p: &[u8]| plain.iter().zip(p).skip(HEADER).filter(|(a, _)| **a > 40).map(|(_, b)| u64::from(*b)).sum();
+    let bright =
+        |p: &[u8]| plain.iter().zip(p).skip(HEADER).filter(|(a, _)| **a > 40).map(|(_, b)| u64::from(*b)).sum();
     let (before, after): (u64, u64) = (bright(&plain), bright(&amplified));
     assert!(before > 100_000 && (before as f64 / after as f64 - 1.0).abs() < 0.03, "{before} {after}");
     assert!(amplified[HEADER..].iter().all(|v| v % 2 == 0 || *v == 255));

@@ -17,8 +17,7 @@ impl Echo {
     fn new() -> Self {
         let [manufacturer, product, serial] = ["gv3", "echo", "1"].map(String::from);
         let class = [0xff, 0, 0];
-        let identity =
-            Identity { vendor_id: 0x1209, product_id: 1, release: 1, class, manufacturer, product, serial };
+        let identity = Identity { vendor_id: 0x1209, product_id: 1, release: 1, class, manufacturer, product, serial };
         let configuration = Configuration::new(Speed::High)
             .interface(3, class)
             .endpoint(0x01, TransferKind::Bulk)

@@ -98,7 +98,8 @@ impl VirtualScannerCommand {
         on_interrupt(ended.clone())?;
         let name = |kind: &DeviceKind| kind.to_possible_value().map_or(String::new(), |v| v.get_name().to_owned());
         if !self.attach && self.redir.is_none() {
-            let listener = TcpListener::bind(&self.listen).with_context(|| format!("cannot listen at {}", self.listen))?;
+            let listener =
+                TcpListener::bind(&self.listen).with_context(|| format!("cannot listen at {}", self.listen))?;
             for (kind, exported) in devices {
                 say(&format!("{} {}: usbip attach -r {} -b {0}", exported.bus_id, name(kind), host(&self.listen)))?;
             }

@@ -1,6 +1,5 @@
 //! The transfers of one plugged-in device: requests in, completions out.
 
-use super::descriptor::Speed;
 use super::{ControlReply, MAX_TRANSFER_BYTES, Setup, Transmit, UsbDevice};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -216,20 +215,11 @@ fn control(device: &mut dyn UsbDevice, setup: &Setup, data: &[u8]) -> Outcome {
     }
 }
 
-/// Code of a speed in USB/IP and in sysfs.
-pub(super) fn speed_code(speed: Speed) -> u32 {
-    match speed {
-        Speed::Full => 2,
-        Speed::High => 3,
-        Speed::Super => 5,
-    }
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::usb_device::Descriptors;
     use crate::usb_device::descriptor::tests::example;
+    use crate::usb_device::{Descriptors, Speed};
 
     /// Sends back on endpoint 1 what it gets there; counts resets.
     pub(crate) struct Loop {
@@ -251,7 +241,11 @@ pub(crate) mod tests {
         fn control(&mut self, setup: &Setup, _: &[u8]) -> ControlReply {
             if let Some(reply) = self.descriptors.answer(setup) {
                 reply
-            } else if setup.is_in() { ControlReply::Data(vec![0x5a; 300]) } else { ControlReply::Done }
+            } else if setup.is_in() {
+                ControlReply::Data(vec![0x5a; 300])
+            } else {
+                ControlReply::Done
+            }
         }
         fn receive(&mut self, endpoint: u8, data: &[u8]) -> bool {
             // A device bounds what it stores.

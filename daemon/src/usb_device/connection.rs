@@ -283,8 +283,7 @@ mod tests {
         let (mut host, ours) = UnixStream::pair().unwrap();
         let device: SharedDevice = Arc::new(Mutex::new(Loop::new()));
         let session = Session::new(Box::new(UsbIp::default()));
-        let server =
-            std::thread::spawn(move || serve(ours, session, Vec::new(), device, Arc::default()).unwrap());
+        let server = std::thread::spawn(move || serve(ours, session, Vec::new(), device, Arc::default()).unwrap());
         host.write_all(&submit(1, true, 1, 8, &[])).unwrap();
         host.write_all(&submit(2, false, 1, 3, b"abc")).unwrap();
         let mut answers = vec![0; 48 + 48 + 3];

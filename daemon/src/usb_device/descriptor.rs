@@ -22,6 +22,15 @@ impl Speed {
             Self::Super => 1024,
         }
     }
+
+    /// Code in Linux' enum usb_device_speed, which USB/IP has as well.
+    pub fn linux_code(self) -> u32 {
+        match self {
+            Self::Full => 2,
+            Self::High => 3,
+            Self::Super => 5,
+        }
+    }
 }
 
 /// How an endpoint moves data (bmAttributes).

@@ -1,6 +1,5 @@
 //! Where devices are plugged in: a TCP port for USB/IP, the kernel's own virtual host controller, a socket for QEMU.
 
-use super::bus::speed_code;
 use super::connection::{Bell, End, Session, SharedDevice, serve};
 use super::usbip::{Operation, Refusal, UsbIp, import_reply, list_reply};
 use super::usbredir::UsbRedir;
@@ -189,7 +188,7 @@ fn plug_into_kernel(speed: Speed, number: u32) -> io::Result<UnixStream> {
     let status = std::fs::read_to_string(format!("{VHCI}/status")).map_err(|e| about("status", e))?;
     let port = free_port(&status, speed).ok_or_else(|| io::Error::other("no free port on vhci_hcd"))?;
     let (ours, theirs) = UnixStream::pair()?;
-    let line = format!("{port} {} {} {}", theirs.as_raw_fd(), 1 << 16 | number, speed_code(speed));
+    let line = format!("{port} {} {} {}", theirs.as_raw_fd(), 1 << 16 | number, speed.linux_code());
     std::fs::write(format!("{VHCI}/attach"), line).map_err(|e| about("attach", e))?;
     Ok(ours)
 }

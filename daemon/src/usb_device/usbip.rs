@@ -3,7 +3,7 @@
 //! All numbers are big-endian. A connection begins with operations ([`Operation`]: list, import); after an import it carries
 //! transfers ([`UsbIp`]).
 
-use super::bus::{Completion, Outcome, Request, speed_code};
+use super::bus::{Completion, Outcome, Request};
 use super::connection::Wire;
 use super::{Descriptors, MAX_TRANSFER_BYTES, Setup, WireError};
 
@@ -57,7 +57,7 @@ fn device_record(bus_id: &str, number: u32, descriptors: &Descriptors) -> Vec<u8
     let path = format!("/sys/devices/gv3/{bus_id}");
     record[..path.len().min(255)].copy_from_slice(&path.as_bytes()[..path.len().min(255)]);
     record[256..256 + bus_id.len().min(31)].copy_from_slice(&bus_id.as_bytes()[..bus_id.len().min(31)]);
-    for value in [1, number, speed_code(descriptors.speed)] {
+    for value in [1, number, descriptors.speed.linux_code()] {
         record.extend(value.to_be_bytes());
     }
     let identity = &descriptors.identity;
@@ -142,7 +142,9 @@ impl UsbIp {
         }
         let data_bytes = if is_in { 0 } else { length as usize };
         let total = HEADER_BYTES + data_bytes + packets as usize * ISO_BYTES;
-        let Some(data) = self.buffer.get(HEADER_BYTES..total).map(|d| d[..data_bytes].to_vec()) else { return Ok(None) };
+        let Some(data) = self.buffer.get(HEADER_BYTES..total).map(|d| d[..data_bytes].to_vec()) else {
+            return Ok(None);
+        };
         let endpoint = endpoint as u8;
         let request = match (endpoint, packets, is_in) {
             (0, 0, _) => {
@@ -197,8 +199,8 @@ impl Wire for UsbIp {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::usb_device::descriptor::tests::example;
     use crate::usb_device::Speed;
+    use crate::usb_device::descriptor::tests::example;
     use proptest::prelude::*;
 
     fn submit(id: u32, is_in: bool, endpoint: u32, length: u32, packets: u32, setup: [u8; 8]) -> Vec<u8> {
@@ -220,17 +222,22 @@ mod tests {
     #[test]
     fn golden_messages() {
         let get_descriptor = [0x80, 6, 0, 1, 0, 0, 0x40, 0];
-        let bytes = hex("00000001 00000d05 0001000f 00000001 00000001 00000200 00000040 ffffffff 00000000 00000004 0000000000000000");
+        let bytes = hex(
+            "00000001 00000d05 0001000f 00000001 00000001 00000200 00000040 ffffffff 00000000 00000004 0000000000000000",
+        );
         assert_eq!(requests(&bytes).unwrap(), [Request::In { id: 0xd05, endpoint: 1, max_bytes: 64 }]);
         let mut answer = Vec::new();
-        let completion = Completion { id: 0xd05, endpoint: 1, outcome: Outcome::Data(hex("ffffffff860011a784ce5ae2376312891b")) };
+        let completion =
+            Completion { id: 0xd05, endpoint: 1, outcome: Outcome::Data(hex("ffffffff860011a784ce5ae2376312891b")) };
         UsbIp::default().write(&completion, &mut answer);
         let expected = "00000003 00000d05 00000000 00000000 00000000 00000000 00000011 00000000 00000000 00000000 0000000000000000 ffffffff860011a784ce5ae2376312891b";
         assert_eq!(answer, hex(expected));
         let control = submit(2, true, 0, 64, u32::MAX, get_descriptor);
         let setup = Setup { request_type: 0x80, request: 6, value: 0x0100, index: 0, length: 64 };
         assert_eq!(requests(&control).unwrap(), [Request::Control { id: 2, setup, data: vec![] }]);
-        let unlink = hex("00000002 00000006 00010002 00000000 00000000 00000005 000000000000000000000000000000000000000000000000");
+        let unlink = hex(
+            "00000002 00000006 00010002 00000000 00000000 00000005 000000000000000000000000000000000000000000000000",
+        );
         assert_eq!(requests(&unlink).unwrap(), [Request::Cancel { id: 6, victim: 5 }]);
         let mut answer = Vec::new();
         let outcome = Outcome::Cancelled { victim: 5, was_waiting: true };

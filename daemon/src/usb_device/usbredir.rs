@@ -78,55 +78,14 @@ impl UsbRedir {
 
     /// The request of a message; none for what asks for nothing.
     fn request(&mut self, kind: u32, id: u64, body: &[u8]) -> Result<Option<Request>, WireError> {
-        let short = |wire: &Self| wire.error("length", body.len() as u32, "too short for its type");
-        let head = |count: usize| body.split_at_checked(count).ok_or_else(|| short(self));
-        let standard = |request_type, request, value: u8, index: u8| Setup {
-            request_type,
-            request,
-            value: value.into(),
-            index: index.into(),
-            length: 0,
-        };
         let (pending, request) = match kind {
             3 => return Ok(Some(Request::Reset)),
-            6 => {
-                let (b, _) = head(1)?;
-                let setup = standard(0, 9, b[0], 0);
-                (Pending::Setting(8, vec![b[0]]), Request::Control { id, setup, data: vec![] })
-            }
-            7 => (Pending::Setting(8, vec![1]), control(id, Setup { length: 1, ..standard(0x80, 8, 0, 0) })),
-            9 => {
-                let (b, _) = head(2)?;
-                (Pending::Setting(11, vec![b[0], b[1]]), control(id, standard(1, 11, b[1], b[0])))
-            }
-            10 => {
-                let (b, _) = head(1)?;
-                let setup = Setup { length: 1, ..standard(0x81, 10, 0, b[0]) };
-                (Pending::Setting(11, vec![b[0], 0]), control(id, setup))
-            }
-            15 | 16 => {
-                let (b, _) = head(1)?;
-                (Pending::Poll, Request::Poll { id, endpoint: b[0] & 15, on: kind == 15 })
-            }
             21 => return Ok(Some(Request::Cancel { id, victim: id })),
-            100 => {
-                let (b, data) = head(10)?;
-                let setup = Setup::new([b[2], b[1], b[4], b[5], b[6], b[7], b[8], b[9]]);
-                (Pending::Control(setup), Request::Control { id, setup, data: data.to_vec() })
-            }
-            101 => {
-                let (b, data) = head(10)?;
-                let length = u32::from_le_bytes([b[2], b[3], b[8], b[9]]);
-                if length > MAX_TRANSFER_BYTES {
-                    return Err(self.error("length of a transfer", length, "at most 16 MiB"));
-                }
-                (Pending::Bulk(b[0]), data_request(id, b[0], length, data))
-            }
-            103 => {
-                let (b, data) = head(4)?;
-                let length = u32::from(u16::from_le_bytes([b[2], b[3]]));
-                (Pending::Interrupt(b[0]), data_request(id, b[0], length, data))
-            }
+            6..=10 | 15 | 16 => match self.setting(kind, id, body)? {
+                Some(found) => found,
+                None => return Ok(None),
+            },
+            100 | 101 | 103 => self.transfer(kind, id, body)?,
             // Filters, streams, acknowledgements.
             _ => return Ok(None),
         };
@@ -136,10 +95,60 @@ impl UsbRedir {
         self.pending.insert(id, pending);
         Ok(Some(request))
     }
-}
 
-fn control(id: u64, setup: Setup) -> Request {
-    Request::Control { id, setup, data: vec![] }
+    /// The first bytes of a message, and the rest.
+    fn head<'a>(&self, body: &'a [u8], count: usize) -> Result<(&'a [u8], &'a [u8]), WireError> {
+        let found = body.split_at_checked(count);
+        found.ok_or_else(|| self.error("length", body.len() as u32, "too short for its type"))
+    }
+
+    /// What USB does by standard requests and this wire by messages of its own: configuration, alternate settings, polling.
+    fn setting(&self, kind: u32, id: u64, body: &[u8]) -> Result<Option<(Pending, Request)>, WireError> {
+        let standard = |request_type, request, value: u8, index: u8, length| {
+            let setup = Setup { request_type, request, value: value.into(), index: index.into(), length };
+            Request::Control { id, setup, data: vec![] }
+        };
+        Ok(Some(match kind {
+            6 => {
+                let (b, _) = self.head(body, 1)?;
+                (Pending::Setting(8, vec![b[0]]), standard(0, 9, b[0], 0, 0))
+            }
+            7 => (Pending::Setting(8, vec![1]), standard(0x80, 8, 0, 0, 1)),
+            9 => {
+                let (b, _) = self.head(body, 2)?;
+                (Pending::Setting(11, vec![b[0], b[1]]), standard(1, 11, b[1], b[0], 0))
+            }
+            10 => {
+                let (b, _) = self.head(body, 1)?;
+                (Pending::Setting(11, vec![b[0], 0]), standard(0x81, 10, 0, b[0], 1))
+            }
+            15 | 16 => {
+                let (b, _) = self.head(body, 1)?;
+                (Pending::Poll, Request::Poll { id, endpoint: b[0] & 15, on: kind == 15 })
+            }
+            // Answers, which are ours to give.
+            _ => return Ok(None),
+        }))
+    }
+
+    /// A control, bulk or interrupt transfer.
+    fn transfer(&self, kind: u32, id: u64, body: &[u8]) -> Result<(Pending, Request), WireError> {
+        if kind == 103 {
+            let (b, data) = self.head(body, 4)?;
+            let length = u32::from(u16::from_le_bytes([b[2], b[3]]));
+            return Ok((Pending::Interrupt(b[0]), data_request(id, b[0], length, data)));
+        }
+        let (b, data) = self.head(body, 10)?;
+        if kind == 100 {
+            let setup = Setup::new([b[2], b[1], b[4], b[5], b[6], b[7], b[8], b[9]]);
+            return Ok((Pending::Control(setup), Request::Control { id, setup, data: data.to_vec() }));
+        }
+        let length = u32::from_le_bytes([b[2], b[3], b[8], b[9]]);
+        if length > MAX_TRANSFER_BYTES {
+            return Err(self.error("length of a transfer", length, "at most 16 MiB"));
+        }
+        Ok((Pending::Bulk(b[0]), data_request(id, b[0], length, data)))
+    }
 }
 
 fn data_request(id: u64, address: u8, length: u32, data: &[u8]) -> Request {

@@ -72,7 +72,8 @@ impl VirtualScanner {
                     Arc::new(Mutex::new(UvcCamera::new(rig, size_px, config.timing.picture_period_nanos)))
                 }
                 DeviceKind::Projector => {
-                    let device = VendorProjector::new(rig).ok_or(DeviceError::State("the projector has no descriptors"))?;
+                    let device =
+                        VendorProjector::new(rig).ok_or(DeviceError::State("the projector has no descriptors"))?;
                     Arc::new(Mutex::new(device))
                 }
                 DeviceKind::Trigger => Arc::new(Mutex::new(SerialTrigger::new(rig))),

@@ -363,7 +363,7 @@ impl VirtualRig {
         self.camera.stalled_until = Some(Instant::now() + STALL);
     }
 
-    /// Pulls the camera's cable.
+    /// Pulls a cable.
     pub fn pull(&mut self, kind: DeviceKind) {
         self.pulled.insert(kind);
     }
