@@ -38,10 +38,10 @@ as_devices without >"$work/share/projector.toml"
 "$GV3" capture --raw "$work/expected-raw" --config "$work/share/simulated.toml" --seconds "$(awk "BEGIN{print $sets * 0.6 + 6}")" >/dev/null
 "$GV3" export-raw "$work/expected-raw" -o "$work/expected" >/dev/null
 
-# name, rig, sets, what the guest does instead of `gv3 capture`'s plain run (or nothing), then options of the virtual scanner
+# Name, rig, sets, then options of the virtual scanner; sets `status`.
 run() {
-    name=$1 rig=$2 count=$3 shift_by=3
-    shift $shift_by
+    name=$1 rig=$2 count=$3
+    shift 3
     devices=camera,projector
     sockets=("$work/$name-usb/camera.sock" "$work/$name-usb/projector.sock")
     wait_for="/dev/video1"
@@ -96,3 +96,25 @@ run clean trigger "$sets"
 [ $status = 0 ] || fail "clean: status $status"
 [ "$(field clean frame_sets)" = "$sets" ] || fail "clean: $(cat "$work/clean/report")"
 compare clean "$sets"
+
+# Pictures lost, doubled, cut short and late in sets 1 to 4: those sets are missing, the others are right.
+run faults trigger 10 --fault lost@8 --fault doubled@16 --fault short@22 --fault late@28
+[ $status = 0 ] || fail "faults: status $status"
+[ "$(field faults frame_sets)" -ge 5 ] || fail "faults: $(cat "$work/faults/report")"
+compare faults 5
+
+# Without a controller: the projector's own trigger line.
+run own-line projector 5
+[ $status = 0 ] || fail "own-line: status $status"
+compare own-line 5
+
+# A camera of another size is refused before anything is recorded.
+run size trigger 2 --camera-size 320x240
+[ $status = 1 ] && grep -q "320" "$work/size/messages" || fail "size: $status, $(cat "$work/size/messages")"
+
+# A camera that is unplugged ends the run, and what came before is whole.
+run unplugged trigger 6 --fault unplug-camera@20
+[ $status = 1 ] && grep -q "disconnected" "$work/unplugged/messages" || fail "unplugged: status $status"
+compare unplugged 3
+
+echo "capture: all well"

@@ -121,13 +121,13 @@ impl CameraLink {
         self.pictures.clear();
     }
 
-    /// The next picture for the host.
-    pub fn take(&mut self) -> Option<Picture> {
+    /// The next picture for the host, unless its exposure is still to come.
+    fn take(&mut self, clock_nanos: u64) -> Option<Picture> {
         if self.stalled_until.is_some_and(|until| Instant::now() < until) {
             return None;
         }
         self.stalled_until = None;
-        self.pictures.pop_front()
+        if self.pictures.front()?.time_nanos > clock_nanos { None } else { self.pictures.pop_front() }
     }
 }
 
@@ -228,6 +228,12 @@ impl VirtualRig {
     /// The camera streams.
     pub fn is_streaming(&self) -> bool {
         self.camera.stream.is_some()
+    }
+
+    /// The camera's next picture, at a wall time.
+    pub fn take_picture(&mut self, now: Instant) -> Option<Picture> {
+        self.tick(now);
+        self.camera.take(self.clock_nanos)
     }
 
     /// Someone has pulled the cable of a device since this was last asked.

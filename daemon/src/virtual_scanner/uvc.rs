@@ -8,6 +8,7 @@ use crate::usb_device::descriptor::{Configuration, Identity, TransferKind};
 use crate::usb_device::{ControlReply, Descriptors, Outgoing, Setup, Speed, Transmit, UsbDevice};
 use gv3_codec::GreyPicture;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 /// Ticks of the camera's clock a second.
 const CLOCK_HZ: u32 = 10_000_000;
@@ -287,7 +288,7 @@ impl UsbDevice for UvcCamera {
             return Transmit::Stall;
         }
         if self.sending.is_none() {
-            let Some(picture) = self.rig().camera.take() else { return Transmit::Nothing };
+            let Some(picture) = self.rig().take_picture(Instant::now()) else { return Transmit::Nothing };
             let payload = self.payload(&picture);
             // A whole payload ends with its length, another with a short packet.
             self.sending = Some(match picture.is_short {
