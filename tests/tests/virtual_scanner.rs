@@ -1,8 +1,8 @@
 //! The virtual scanner from a host's side: descriptors, streams, faults, and pictures equal to the simulator's.
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-#[path = "../../daemon/fuzz/fuzz_targets/checks.rs"]
-mod checks;
+#[path = "../../daemon/fuzz/fuzz_targets/usb_exercise.rs"]
+mod usb_exercise;
 
 use gv3::device::{self, RigConfig};
 use gv3::usb_device::connection::SharedDevice;
@@ -263,7 +263,7 @@ fn play(host: &mut Host, config: &RigConfig) {
 #[test]
 fn saved_inputs_of_the_fuzz_targets() {
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("../daemon/fuzz/corpus");
-    for (folder, check) in [("usbip", checks::usbip as fn(&[u8])), ("usbredir", checks::usbredir)] {
+    for (folder, check) in [("usbip", usb_exercise::usbip as fn(&[u8])), ("usbredir", usb_exercise::usbredir)] {
         let mut count = 0;
         for entry in std::fs::read_dir(corpus.join(folder)).unwrap() {
             let bytes = std::fs::read(entry.unwrap().path()).unwrap();
