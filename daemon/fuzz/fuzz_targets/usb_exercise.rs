@@ -39,7 +39,7 @@ impl UsbDevice for Echo {
     }
     fn transmit(&mut self, _endpoint: u8, max_bytes: usize) -> Transmit {
         self.asked += 1;
-        if self.asked % 2 == 0 { Transmit::Data(vec![1; max_bytes.min(1)]) } else { Transmit::Nothing }
+        if self.asked.is_multiple_of(2) { Transmit::Data(vec![1; max_bytes.min(1)]) } else { Transmit::Nothing }
     }
 }
 
