@@ -15,6 +15,7 @@ const SECOND: Duration = Duration::from_secs(1);
 const PLUG_TIME: Duration = Duration::from_secs(30);
 
 fn main() -> Result<()> {
+    tracing_subscriber::fmt().with_max_level(tracing::Level::DEBUG).with_writer(std::io::stderr).init();
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let kind = match arguments.first() {
@@ -80,7 +81,7 @@ fn echo(usb: &dyn UsbTransport, bytes: usize) -> Result<()> {
         back.extend(usb.read(SECOND)?);
     }
     ensure!(back == message, "other bytes came back");
-    if bytes % 512 == 0 {
+    if bytes.is_multiple_of(512) {
         let end = usb.read(SECOND)?;
         ensure!(end.is_empty(), "{} bytes in place of an empty packet", end.len());
     }
