@@ -274,6 +274,7 @@ impl Gv3Device {
             // SET_CONFIGURATION
             (0x00, 9) if value_low <= 1 => {
                 self.configuration = value_low;
+                self.halted = [false; 3];
                 self.reset();
                 Vec::new()
             }
@@ -309,7 +310,6 @@ impl Gv3Device {
         self.replies.clear();
         self.decoder = Decoder::default();
         (self.last, self.event_sequence, self.events_lost, self.triggers) = (None, 0, 0, 0);
-        self.halted = [false; 3];
     }
 
     fn forget(&mut self) {
