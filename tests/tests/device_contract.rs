@@ -1,8 +1,12 @@
 //! What every camera and projector promises, run for each backend alike: through the traits, opened as programs open them.
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
+use gv3::device::gv3_usb::UsbTransportKind;
 use gv3::device::sim::SceneConfig;
-use gv3::device::{self, CameraSettings, DeviceError, Frame, Pace, RecordedConfig, Rig, RigConfig, TriggerSource};
+use gv3::device::{
+    self, Backend, CameraSettings, DeviceError, Frame, Pace, ProjectorConfig, RecordedConfig, Rig, RigConfig,
+    TriggerSource,
+};
 use gv3::pipeline::RawRecorder;
 use gv3::pipeline::raw::run_rig;
 use std::path::Path;
@@ -149,6 +153,14 @@ fn a_run_begins_anew(config: &RigConfig) {
 #[test]
 fn the_simulated_backend_keeps_the_contract() {
     check_backend(&simulated());
+}
+
+#[test]
+fn a_projector_behind_the_vendor_protocol_keeps_the_contract() {
+    let mut config = simulated();
+    config.projector = ProjectorConfig::of(Backend::Gv3Usb);
+    config.projector.transport = Some(UsbTransportKind::Simulated);
+    check_backend(&config);
 }
 
 #[test]

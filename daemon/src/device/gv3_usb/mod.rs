@@ -177,6 +177,16 @@ impl Projector for Gv3Projector {
     }
 }
 
+/// Nothing goes on shining when the program no longer cares.
+impl Drop for Gv3Projector {
+    fn drop(&mut self) {
+        let is_lit = self.shared.connection().wanted != Wanted::Dark;
+        if is_lit && let Err(error) = self.stop() {
+            warn!(%error, "the projector may not be dark");
+        }
+    }
+}
+
 impl Connection {
     fn name(&self) -> String {
         format!("{} {}", self.identity.model, self.identity.serial)

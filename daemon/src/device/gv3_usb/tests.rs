@@ -56,6 +56,15 @@ fn what_is_loaded_arrives_to_the_level() {
 }
 
 #[test]
+fn a_projector_let_go_of_is_dark() {
+    let (socket, mut projector) = opened();
+    projector.load(&sequence()).unwrap();
+    projector.play(&TIMING).unwrap();
+    drop(projector);
+    assert_eq!(socket.with_device(|d| d.light()), Some(sim::Light::Dark));
+}
+
+#[test]
 fn every_exposure_is_told_with_its_pattern_and_time() {
     let (_socket, mut projector) = opened();
     let feed = projector.exposures().unwrap();

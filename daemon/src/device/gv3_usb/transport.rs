@@ -1,7 +1,9 @@
 //! What the driver needs of USB, whoever does it.
 
 use crate::device::DeviceError;
-use gv3_protocol::gv3::{INTERFACE_CLASS, PRODUCT_ID, VENDOR_ID};
+use gv3_protocol::gv3::INTERFACE_CLASS;
+#[cfg(any(feature = "nusb", feature = "rusb"))]
+use gv3_protocol::gv3::{PRODUCT_ID, VENDOR_ID};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! USB descriptors of a projector that speaks the vendor protocol: high speed, one interface, three endpoints.
+//! USB descriptors of a projector that speaks the vendor protocol: one interface, three endpoints.
 
 use gv3_protocol::gv3::{
     INTERFACE_CLASS, INTERFACE_PROTOCOL, INTERFACE_SUBCLASS, Identity, MAX_EVENT_BYTES, PRODUCT_ID, VENDOR_ID,
@@ -11,13 +11,13 @@ pub const IN: u8 = 0x81;
 /// Interrupt, device to host.
 pub const EVENTS: u8 = 0x82;
 /// wMaxPacketSize of the bulk endpoints at high speed.
-pub const BULK_PACKET_BYTES: usize = 512;
+pub const HIGH_SPEED_PACKET_BYTES: u16 = 512;
 
 /// What GET_DESCRIPTOR answers; `None` for what there is not.
-pub fn descriptor(kind: u8, index: u8, identity: &Identity) -> Option<Vec<u8>> {
+pub fn descriptor(kind: u8, index: u8, identity: &Identity, bulk_packet_bytes: u16) -> Option<Vec<u8>> {
     match kind {
         1 => Some(device(identity)),
-        2 if index == 0 => Some(configuration()),
+        2 if index == 0 => Some(configuration(bulk_packet_bytes)),
         3 => string(index, identity),
         _ => None,
     }
@@ -35,16 +35,20 @@ fn device(identity: &Identity) -> Vec<u8> {
     bytes
 }
 
-fn configuration() -> Vec<u8> {
+fn configuration(bulk_packet_bytes: u16) -> Vec<u8> {
     const SELF_POWERED: u8 = 0xc0;
     let (bulk, interrupt) = (2, 3);
-    // The interrupt endpoint is asked every 2^(4-1) microframes, which is a millisecond.
-    let endpoints =
-        [(OUT, bulk, BULK_PACKET_BYTES, 0), (IN, bulk, BULK_PACKET_BYTES, 0), (EVENTS, interrupt, MAX_EVENT_BYTES, 4)];
+    // The interrupt endpoint is asked every millisecond: 2^(4-1) microframes at high speed, one frame at full speed.
+    let interval = if bulk_packet_bytes == HIGH_SPEED_PACKET_BYTES { 4 } else { 1 };
+    let endpoints = [
+        (OUT, bulk, bulk_packet_bytes, 0),
+        (IN, bulk, bulk_packet_bytes, 0),
+        (EVENTS, interrupt, MAX_EVENT_BYTES as u16, interval),
+    ];
     let mut body = vec![9, 4, 0, 0, 3, INTERFACE_CLASS, INTERFACE_SUBCLASS, INTERFACE_PROTOCOL, 2];
     for (address, kind, packet_bytes, interval) in endpoints {
         body.extend([7, 5, address, kind]);
-        body.extend((packet_bytes as u16).to_le_bytes());
+        body.extend(packet_bytes.to_le_bytes());
         body.push(interval);
     }
     let mut bytes = vec![9, 2];

@@ -57,6 +57,7 @@ pub struct StoredPattern {
 pub struct Gv3Device {
     identity: Identity,
     timing_step_nanos: u64,
+    bulk_packet_bytes: u16,
     clock_nanos: u64,
     state: DeviceState,
     fault: Option<DeviceFault>,
@@ -93,6 +94,7 @@ impl Gv3Device {
         Self {
             identity,
             timing_step_nanos: 1,
+            bulk_packet_bytes: usb::HIGH_SPEED_PACKET_BYTES,
             clock_nanos: 0,
             state: DeviceState::Idle,
             fault: None,
@@ -135,6 +137,12 @@ impl Gv3Device {
     #[must_use]
     pub fn with_timing_step_nanos(self, timing_step_nanos: u64) -> Self {
         Self { timing_step_nanos: timing_step_nanos.max(1), ..self }
+    }
+
+    /// The same, but at full speed with bulk packets of 8, 16, 32 or 64 bytes.
+    #[must_use]
+    pub fn with_bulk_packet_bytes(self, bulk_packet_bytes: u16) -> Self {
+        Self { bulk_packet_bytes: bulk_packet_bytes.max(1), ..self }
     }
 
     /// What it says of itself.
@@ -231,12 +239,11 @@ impl Gv3Device {
     /// What a transfer of `max` bytes at [`Self::IN`] gets: a reply or the next part of it, a zero-length packet behind a reply
     /// that filled its packets, or nothing yet.
     pub fn read_in(&mut self, max: usize) -> Option<Vec<u8>> {
+        let packet_bytes = usize::from(self.bulk_packet_bytes);
         let reply = self.replies.front_mut()?;
         let part: Vec<u8> = reply.drain(..max.min(reply.len())).collect();
         // A packet that is not full ends the reply; else an empty one has to, unless it went with this transfer.
-        if reply.is_empty()
-            && (part.len() < max || !part.len().is_multiple_of(usb::BULK_PACKET_BYTES) || part.is_empty())
-        {
+        if reply.is_empty() && (part.len() < max || !part.len().is_multiple_of(packet_bytes) || part.is_empty()) {
             self.replies.pop_front();
         }
         Some(part)
@@ -257,7 +264,7 @@ impl Gv3Device {
                 Vec::new()
             }
             // GET_DESCRIPTOR
-            (0x80, 6) => usb::descriptor(value_high, value_low, &self.identity).ok_or(Stall)?,
+            (0x80, 6) => usb::descriptor(value_high, value_low, &self.identity, self.bulk_packet_bytes).ok_or(Stall)?,
             // GET_CONFIGURATION, GET_INTERFACE, GET_STATUS of device, interface and endpoint
             (0x80, 8) => vec![self.configuration],
             (0x81, 10) => vec![0],
@@ -267,6 +274,7 @@ impl Gv3Device {
             // SET_CONFIGURATION
             (0x00, 9) if value_low <= 1 => {
                 self.configuration = value_low;
+                self.halted = [false; 3];
                 self.reset();
                 Vec::new()
             }
@@ -302,7 +310,6 @@ impl Gv3Device {
         self.replies.clear();
         self.decoder = Decoder::default();
         (self.last, self.event_sequence, self.events_lost, self.triggers) = (None, 0, 0, 0);
-        self.halted = [false; 3];
     }
 
     fn forget(&mut self) {
@@ -350,7 +357,7 @@ impl Gv3Device {
             }
             (Request::Start, Armed) => {
                 let period_nanos = self.timing.map_or(0, |timing| timing.period_nanos);
-                self.start_nanos = self.clock_nanos + period_nanos;
+                self.start_nanos = self.clock_nanos.saturating_add(period_nanos);
                 self.state = Running;
             }
             (Request::Show(position), Ready | Showing) => {

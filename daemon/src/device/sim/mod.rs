@@ -9,6 +9,8 @@ mod face;
 mod follow;
 mod gv3_descriptors;
 mod gv3_device;
+#[cfg(test)]
+mod gv3_device_tests;
 mod lens;
 mod motion;
 mod noise;
