@@ -123,7 +123,8 @@ fn wait_for_return(camera: &mut V4lCamera) -> Result<()> {
 /// Checks two frames in a row; gives the pictures that are missing between them.
 fn follows(last: &Frame, frame: &Frame, counts_numbers: bool) -> Result<u64> {
     ensure!(frame.sequence > last.sequence, "number {} after {}", frame.sequence, last.sequence);
-    ensure!(frame.device_time_nanos > last.device_time_nanos, "time goes back at {}", frame.sequence);
+    let times = [last, frame].map(|f| (f.sequence, f.device_time_nanos, f.host_time_nanos));
+    ensure!(times[1].1 > times[0].1, "time goes back: number, device time, host time {times:?}");
     ensure!(frame.host_time_nanos >= frame.device_time_nanos, "picture {} is of the future", frame.sequence);
     let missing = frame.sequence - last.sequence - 1;
     if counts_numbers {

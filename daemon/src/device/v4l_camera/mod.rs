@@ -2,13 +2,13 @@
 //!
 //! The crate `v4l` opens nodes, asks for capabilities and formats and sets formats, intervals and controls. Its streams are not
 //! used: they give a buffer back that they do not own after a timeout, and panic when a stream cannot be stopped; and its
-//! enumeration of controls panics at kinds of newer kernels. [`kernel`] does both, with all that is unsafe. What `v4l` panics
-//! about elsewhere (names that are no UTF-8) becomes an error in [`driver_call`].
+//! enumeration of controls panics at kinds of newer kernels. `kernel.rs` does both, with all that is unsafe. What `v4l` panics
+//! about elsewhere (names that are no UTF-8) becomes an error.
 //!
 //! `v4l`'s own bindings need libclang to be made; the workspace puts the same ones, made beforehand, in their place
 //! (`vendor/v4l2-sys-mit`), so that a Rust toolchain is all the build needs.
 //!
-//! A picture comes with the driver's number and time ([`stamp`]). Pictures that the driver marks as damaged, that are too short
+//! A picture comes with the driver's number and time (`stamp.rs`). Pictures that the driver marks as damaged, that are too short
 //! or of before the run's start are left out and counted; their numbers stay as gaps. An unplugged camera is
 //! [`DeviceError::Disconnected`] until [`Camera::start`] finds it again, under whatever node it has come back; times go on then.
 

@@ -29,10 +29,14 @@ impl Clocks {
         Self { monotonic, boot, real: nanos(ClockId::Realtime) }
     }
 
-    /// A stamp in monotonic time, by the clock that is nearest to it; the monotonic one if several are.
+    /// A stamp in monotonic time, by the clock that is nearest to it.
     pub fn monotonic_of(&self, stamp: u64) -> Option<u64> {
         let ahead = |clock: u64| i128::from(stamp) - i128::from(clock);
-        let ahead = [self.monotonic, self.boot, self.real].map(ahead).into_iter().min_by_key(|ahead| ahead.abs())?;
+        let [monotonic, boot, real] = [self.monotonic, self.boot, self.real].map(ahead);
+        // The clocks are read one after the other: a small difference tells nothing, and the drivers' habit decides.
+        let is_other = |other: &i128| other.abs() + AHEAD_NANOS < monotonic.abs();
+        let other = [boot, real].into_iter().filter(is_other).min_by_key(|other| other.abs());
+        let ahead = other.unwrap_or(monotonic);
         let is_near = (-MAX_AGE_NANOS..=AHEAD_NANOS).contains(&ahead);
         u64::try_from(i128::from(self.monotonic) + ahead).ok().filter(|_| is_near)
     }
@@ -85,6 +89,8 @@ mod tests {
         // One clock for two: a machine that never slept.
         let awake = Clocks { boot: 5000 * S + 40, ..clocks };
         assert_eq!(awake.monotonic_of(4999 * S), Some(4999 * S));
+        let skewed = Clocks { boot: 5000 * S + 30_000_000, ..clocks };
+        assert_eq!(skewed.monotonic_of(5000 * S + 29_000_000), Some(5000 * S + 29_000_000));
         let early = Clocks { monotonic: S, boot: S, real: 1_700_000_000 * S };
         assert_eq!(early.monotonic_of(1_699_999_990 * S), None);
     }
