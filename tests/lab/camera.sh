@@ -18,8 +18,17 @@ usbsim=
 trap 'kill $usbsim 2>/dev/null || true; rm -rf "$work"' EXIT
 
 plug_in() {
+    rm -f "$work/uvc"
     "$cache/target/release/usbsim" uvc --super --redir "$work/uvc" >>"$work/usbsim.log" 2>&1 &
     usbsim=$!
+    for _ in $(seq 100); do [ -S "$work/uvc" ] && return; sleep 0.1; done
+    echo "the simulated camera does not start"
+    exit 1
+}
+
+unplug() {
+    kill $usbsim 2>/dev/null || true
+    wait $usbsim 2>/dev/null || true
 }
 
 # A virtual machine that does not come up on a busy host (status 125) is started once more; its USB device ended with it.
@@ -74,7 +83,7 @@ step "USB video class: two nodes, 90 pictures/s, chosen by serial number" --redi
     camera_probe --pictures 50 --period-ms 33.3333 --count-numbers "name = \"fringe camera\"" "controls = { auto_exposure = \"Manual Mode\" }"'
 
 echo "== USB video class: unplugged and plugged in again"
-kill $usbsim 2>/dev/null || true
+unplug
 plug_in
 lab --redir "$work/uvc" -c '
     wait-for /dev/video1
@@ -83,7 +92,7 @@ lab --redir "$work/uvc" -c '
 run=$!
 for _ in $(seq 600); do grep -q streaming "$work/outage" && break; sleep 0.2; done
 sleep 4
-kill $usbsim
+unplug
 sleep 2
 plug_in
 status=0
