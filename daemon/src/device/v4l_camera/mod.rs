@@ -57,6 +57,8 @@ pub struct V4lCounts {
     pub delivered: u64,
     /// Pictures that the driver's numbers say are missing.
     pub missing: u64,
+    /// Pictures that came after their successors; their numbers tell.
+    pub disordered: u64,
     /// Pictures that the driver marks as damaged.
     pub damaged: u64,
     /// Pictures too short or not to be decoded.
@@ -256,9 +258,10 @@ impl V4lCamera {
         self.counts.unstamped += u64::from(time_nanos.is_none());
         run.restarts_in_a_row = 0;
         let (number, missing) = run.numbers.number(stamp.sequence);
-        self.counts.missing += missing;
+        self.counts.missing = self.counts.missing.saturating_add_signed(missing);
+        self.counts.disordered += u64::from(missing < 0);
         let sequence = run.first_number + number;
-        run.next_number = sequence + 1;
+        run.next_number = run.next_number.max(sequence + 1);
         let picture = match picture {
             Some(Ok(picture)) => picture,
             None => {
