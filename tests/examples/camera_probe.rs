@@ -104,7 +104,7 @@ fn stream(camera: &mut V4lCamera, wanted: &Wanted, is_first: bool) -> Result<Str
         }
     }
     ensure!(!(wanted.has_outage && is_first) || outages > 0, "the camera was never unplugged");
-    // The clock of an emulated machine steps back when its host is busy; a wrong clock would do so all the time.
+    // Times go with the numbers; the clock of an emulated machine may step when its host is busy.
     ensure!(backwards * 20 <= pictures, "{backwards} of {pictures} times go back");
     ensure!(timeouts > 0, "no deadline passed without a picture");
     let rate = pictures as f64 / begin.elapsed().as_secs_f64();
