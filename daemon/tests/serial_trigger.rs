@@ -1,5 +1,6 @@
 //! The serial trigger controller against its model behind a pseudo-terminal.
 #![cfg(unix)]
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use gv3::device::serial_trigger::SerialTrigger;
 use gv3::device::{self, DeviceError, RigConfig, Trigger, TriggerBackend, TriggerConfig, TriggerEvent};

@@ -18,14 +18,36 @@ usbsim=
 trap 'kill $usbsim 2>/dev/null || true; rm -rf "$work"' EXIT
 
 plug_in() {
+    rm -f "$work/uvc"
     "$cache/target/release/usbsim" uvc --super --redir "$work/uvc" >>"$work/usbsim.log" 2>&1 &
     usbsim=$!
+    for _ in $(seq 100); do [ -S "$work/uvc" ] && return; sleep 0.1; done
+    echo "the simulated camera does not start"
+    exit 1
+}
+
+unplug() {
+    kill $usbsim 2>/dev/null || true
+    wait $usbsim 2>/dev/null || true
+}
+
+# A virtual machine that does not come up on a busy host (status 125) is started once more; its USB device ended with it.
+lab() {
+    local status=0
+    "$lab/lab-run" --timeout 200 --share "$probe" "$@" || status=$?
+    if [ "$status" = 125 ]; then
+        echo "the virtual machine did not come up; once more"
+        if [ -n "$usbsim" ] && ! kill -0 $usbsim 2>/dev/null; then plug_in; fi
+        status=0
+        "$lab/lab-run" --timeout 200 --share "$probe" "$@" || status=$?
+    fi
+    return $status
 }
 
 step() { # name, then lab-run's arguments
     echo "== $1"
     shift
-    "$lab/lab-run" --timeout 200 --share "$probe" "$@" | sed 's/^/   /'
+    lab "$@" 2>&1 | sed 's/^/   /'
 }
 
 # The stride of whoever used the node before must not stay.
@@ -49,7 +71,9 @@ step "v4l2loopback: no clock told, a stale first picture, no sender" -c '
     sleep 1
     camera_probe --pictures 300 --period-ms 10 --count-numbers "name = \"lab-cam\"" device=\"/dev/video10\"
     kill $pump; wait $pump || true
-    ! camera_probe device=\"/dev/video10\" 2>/tmp/error; cat /tmp/error | tail -n 3'
+    for node in 10 11; do
+        ! camera_probe device=\"/dev/video$node\" 2>/tmp/error; grep Error /tmp/error; ! grep panicked /tmp/error
+    done'
 
 plug_in
 step "USB video class: two nodes, 90 pictures/s, chosen by serial number" --redir "$work/uvc" -c '
@@ -59,21 +83,20 @@ step "USB video class: two nodes, 90 pictures/s, chosen by serial number" --redi
     camera_probe --pictures 50 --period-ms 33.3333 --count-numbers "name = \"fringe camera\"" "controls = { auto_exposure = \"Manual Mode\" }"'
 
 echo "== USB video class: unplugged and plugged in again"
-kill $usbsim 2>/dev/null || true
+unplug
 plug_in
-{
-    "$lab/lab-run" --timeout 200 --share "$probe" --redir "$work/uvc" -c '
-        wait-for /dev/video1
-        echo streaming
-        camera_probe --pictures 900 --period-ms 11.1111 --count-numbers --outage "serial = \"LAB0002\""' || echo "FAILED $?"
-} >"$work/outage" 2>&1 &
+lab --redir "$work/uvc" -c '
+    wait-for /dev/video1
+    echo streaming
+    camera_probe --pictures 900 --period-ms 11.1111 --count-numbers --outage "serial = \"LAB0002\""' >"$work/outage" 2>&1 &
 run=$!
-for _ in $(seq 300); do grep -q streaming "$work/outage" && break; sleep 0.2; done
+for _ in $(seq 600); do grep -q streaming "$work/outage" && break; sleep 0.2; done
 sleep 4
-kill $usbsim
+unplug
 sleep 2
 plug_in
-wait $run
+status=0
+wait $run || status=$?
 sed 's/^/   /' "$work/outage"
-grep -q '^OK' "$work/outage" && ! grep -q FAILED "$work/outage" || { echo "the camera did not come back"; exit 1; }
+[ $status = 0 ] || { echo "the camera did not come back"; exit 1; }
 echo "camera: all well"

@@ -6,6 +6,9 @@
 //! clock's drift is followed slowly. Where the driver's number puts a picture within half a period of its time the number
 //! stands, so a late picture is still a late picture of its own pulse.
 //!
+//! What time cannot tell: a run whose very first picture the sensor skipped without the driver's numbers showing it is off by
+//! one throughout. A camera that is started before the first pulse, as it is here, has no reason to.
+//!
 //! With a trigger controller every pulse must be reported besides: pictures wait until the report of their pulse, or of a later
 //! one of the same schedule, has come. Pulses that came late, or not at all, take their pictures with them. What is left over
 //! has the numbers of the pulses, and [`crate::pipeline::FrameSetAssembler`] drops the sets that have gaps.
@@ -277,7 +280,7 @@ mod tests {
     fn pictures_wait_for_the_report_of_their_pulse() {
         let mut proof = proof(true);
         (0..6).for_each(|k| proof.picture(frame(k, k)));
-        assert_eq!(all(&mut proof), []);
+        assert!(all(&mut proof).is_empty());
         proof.event(report(0));
         assert_eq!(all(&mut proof), [0]);
         // A report that was lost is made up for by the next one.

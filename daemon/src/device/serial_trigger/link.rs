@@ -14,7 +14,7 @@ const LISTEN: Duration = Duration::from_millis(5);
 /// After this a request is sent again.
 const REPEAT: Duration = Duration::from_millis(250);
 /// A request is sent so many times.
-const MOST_SENT: u32 = 4;
+const MOST_SENT: u32 = 8;
 /// A controller that begins anew when its port is opened is greeted so many times.
 const MOST_GREETED: u32 = 12;
 /// From one attempt to open the port to the next.

@@ -127,6 +127,7 @@ impl SerialTrigger {
         match new.ask(Command::Hello) {
             Ok(Answer::Hello(identity)) => new.identity = identity,
             Ok(_) => return Err(DeviceError::Failed("the trigger controller does not say who it is".into())),
+            Err(DeviceError::Disconnected(reason)) => return Err(DeviceError::config("trigger", reason)),
             Err(error) => return Err(DeviceError::config("trigger", error.to_string())),
         }
         info!(model = new.identity.model, serial = new.identity.serial, "trigger controller found");

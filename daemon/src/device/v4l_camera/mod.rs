@@ -2,13 +2,13 @@
 //!
 //! The crate `v4l` opens nodes, asks for capabilities and formats and sets formats, intervals and controls. Its streams are not
 //! used: they give a buffer back that they do not own after a timeout, and panic when a stream cannot be stopped; and its
-//! enumeration of controls panics at kinds of newer kernels. [`kernel`] does both, with all that is unsafe. What `v4l` panics
-//! about elsewhere (names that are no UTF-8) becomes an error in [`driver_call`].
+//! enumeration of controls panics at kinds of newer kernels. `kernel.rs` does both, with all that is unsafe. What `v4l` panics
+//! about elsewhere (names that are no UTF-8) becomes an error.
 //!
 //! `v4l`'s own bindings need libclang to be made; the workspace puts the same ones, made beforehand, in their place
 //! (`vendor/v4l2-sys-mit`), so that a Rust toolchain is all the build needs.
 //!
-//! A picture comes with the driver's number and time ([`stamp`]). Pictures that the driver marks as damaged, that are too short
+//! A picture comes with the driver's number and time (`stamp.rs`). Pictures that the driver marks as damaged, that are too short
 //! or of before the run's start are left out and counted; their numbers stay as gaps. An unplugged camera is
 //! [`DeviceError::Disconnected`] until [`Camera::start`] finds it again, under whatever node it has come back; times go on then.
 
@@ -57,6 +57,8 @@ pub struct V4lCounts {
     pub delivered: u64,
     /// Pictures that the driver's numbers say are missing.
     pub missing: u64,
+    /// Pictures that came after their successors; their numbers tell.
+    pub disordered: u64,
     /// Pictures that the driver marks as damaged.
     pub damaged: u64,
     /// Pictures too short or not to be decoded.
@@ -256,9 +258,10 @@ impl V4lCamera {
         self.counts.unstamped += u64::from(time_nanos.is_none());
         run.restarts_in_a_row = 0;
         let (number, missing) = run.numbers.number(stamp.sequence);
-        self.counts.missing += missing;
+        self.counts.missing = self.counts.missing.saturating_add_signed(missing);
+        self.counts.disordered += u64::from(missing < 0);
         let sequence = run.first_number + number;
-        run.next_number = sequence + 1;
+        run.next_number = run.next_number.max(sequence + 1);
         let picture = match picture {
             Some(Ok(picture)) => picture,
             None => {

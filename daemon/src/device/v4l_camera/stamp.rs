@@ -29,40 +29,51 @@ impl Clocks {
         Self { monotonic, boot, real: nanos(ClockId::Realtime) }
     }
 
-    /// A stamp in monotonic time, by the clock that is nearest to it; the monotonic one if several are.
+    /// A stamp in monotonic time, by the clock that is nearest to it.
     pub fn monotonic_of(&self, stamp: u64) -> Option<u64> {
         let ahead = |clock: u64| i128::from(stamp) - i128::from(clock);
-        let ahead = [self.monotonic, self.boot, self.real].map(ahead).into_iter().min_by_key(|ahead| ahead.abs())?;
+        let [monotonic, boot, real] = [self.monotonic, self.boot, self.real].map(ahead);
+        // The clocks are read one after the other: a small difference tells nothing, and the drivers' habit decides.
+        let is_other = |other: &i128| other.abs() + AHEAD_NANOS < monotonic.abs();
+        let other = [boot, real].into_iter().filter(is_other).min_by_key(|other| other.abs());
+        let ahead = other.unwrap_or(monotonic);
         let is_near = (-MAX_AGE_NANOS..=AHEAD_NANOS).contains(&ahead);
         u64::try_from(i128::from(self.monotonic) + ahead).ok().filter(|_| is_near)
     }
 }
 
-/// Driver's numbers, 32 bits and from wherever it begins, as numbers from 0 that never go back.
+/// Driver's numbers, 32 bits and from wherever it begins, as numbers of the stream from 0.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct SequenceCounter {
+    /// The driver's number and the stream's of the last picture.
     last: Option<(u32, u64)>,
 }
 
 /// A driver that begins with a number below this begins with 0 and has lost the pictures before.
 const FIRST_NUMBERS: u32 = 16;
+/// No more buffers are on their way at once: a number further back is one of a driver that has begun anew.
+const MOST_BUFFERS: u32 = 32;
 
 impl SequenceCounter {
-    /// The number of a picture, and how many are missing before it.
-    pub fn number(&mut self, sequence: u32) -> (u64, u64) {
-        let step = match self.last {
-            None if sequence < FIRST_NUMBERS => sequence + 1,
-            None => 1,
-            // A driver that goes back has begun anew.
-            Some((last, _)) => match sequence.wrapping_sub(last) {
-                0 | 0x8000_0000.. => 1,
-                step => step,
-            },
+    /// The number of a picture, and how many are missing before it: -1 of one that comes after its successor, as uvcvideo's
+    /// copying threads make it, and that was counted as missing then.
+    pub fn number(&mut self, sequence: u32) -> (u64, i64) {
+        let Some((last, number)) = self.last else {
+            let number = if sequence < FIRST_NUMBERS { sequence } else { 0 };
+            self.last = Some((sequence, number.into()));
+            return (number.into(), number.into());
         };
-        let before = self.last.map_or(0, |(_, number)| number + 1);
-        let number = before + u64::from(step) - 1;
+        let back = last.wrapping_sub(sequence);
+        if (1..MOST_BUFFERS).contains(&back) && u64::from(back) <= number {
+            return (number - u64::from(back), -1);
+        }
+        let step = match sequence.wrapping_sub(last) {
+            0 | 0x8000_0000.. => 1,
+            step => step,
+        };
+        let number = number + u64::from(step);
         self.last = Some((sequence, number));
-        (number, u64::from(step) - 1)
+        (number, i64::from(step) - 1)
     }
 }
 
@@ -85,6 +96,8 @@ mod tests {
         // One clock for two: a machine that never slept.
         let awake = Clocks { boot: 5000 * S + 40, ..clocks };
         assert_eq!(awake.monotonic_of(4999 * S), Some(4999 * S));
+        let skewed = Clocks { boot: 5000 * S + 30_000_000, ..clocks };
+        assert_eq!(skewed.monotonic_of(5000 * S + 29_000_000), Some(5000 * S + 29_000_000));
         let early = Clocks { monotonic: S, boot: S, real: 1_700_000_000 * S };
         assert_eq!(early.monotonic_of(1_699_999_990 * S), None);
     }
@@ -107,6 +120,7 @@ mod tests {
         assert_eq!(number_all(&[700, 702]), [(0, 0), (2, 1)]);
         assert_eq!(number_all(&[u32::MAX, 0, 1]), [(0, 0), (1, 0), (2, 0)]);
         assert_eq!(number_all(&[50, 0, 1]), [(0, 0), (1, 0), (2, 0)]);
+        assert_eq!(number_all(&[0, 2, 1, 3, 6, 4, 5]), [(0, 0), (2, 1), (1, -1), (3, 0), (6, 2), (4, -1), (5, -1)]);
         assert_eq!(number_all(&[0, 0]), [(0, 0), (1, 0)]);
     }
 }
