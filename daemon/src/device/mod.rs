@@ -1,6 +1,7 @@
 //! Cameras and projectors behind blocking, object-safe traits; [`open`] is the only place that names concrete types.
 
 pub mod config;
+pub mod dlpc350;
 pub mod frame;
 pub mod recorded;
 pub mod sim;

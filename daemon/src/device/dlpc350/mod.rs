@@ -1,0 +1,6 @@
+//! The TI LightCrafter 4500 (DLPC350) as a projector.
+
+pub mod emulator;
+mod link;
+
+pub use link::{HidLink, HidOpener, LinkError};
