@@ -1,5 +1,6 @@
 //! A rig's configuration: which devices, which patterns, when, and with what calibration.
 
+use super::dlpc350::Dlpc350Config;
 use super::recorded::{RecordedConfig, stored_config};
 use super::{CameraSettings, DeviceError, SequenceTiming, TriggerSource};
 use crate::device::sim::{SceneConfig, SimConfig};
@@ -17,6 +18,8 @@ pub enum Backend {
     Simulated,
     /// A raw recording, as `[recorded]` names it.
     Recorded,
+    /// A TI LightCrafter 4500 projector, as `[projector.dlpc350]` names it.
+    Dlpc350,
 }
 
 /// The camera of a rig.
@@ -37,6 +40,19 @@ pub struct CameraConfig {
 pub struct ProjectorConfig {
     /// Kind of device.
     pub backend: Backend,
+    /// Which LightCrafter 4500, and how it is set up.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dlpc350: Option<Dlpc350Config>,
+}
+
+impl ProjectorConfig {
+    /// The settings of a LightCrafter 4500.
+    ///
+    /// # Errors
+    /// [`DeviceError::Config`] when there are none.
+    pub fn dlpc350(&self) -> Result<&Dlpc350Config, DeviceError> {
+        self.dlpc350.as_ref().ok_or_else(|| DeviceError::config("projector.dlpc350", "missing for this backend"))
+    }
 }
 
 /// Everything about a rig, as in its TOML file.
@@ -82,7 +98,7 @@ impl RigConfig {
             name: "simulated scanner".into(),
             calibration_file: None,
             camera: CameraConfig { backend: Backend::Simulated, width_px: 640, height_px: 480 },
-            projector: ProjectorConfig { backend: Backend::Simulated },
+            projector: ProjectorConfig { backend: Backend::Simulated, dlpc350: None },
             timing: SequenceTiming { picture_period_nanos: 5_555_556, exposure_nanos: 5_000_000 },
             limits: Limits::default(),
             processing: ProcessingConfig::default(),
@@ -172,6 +188,7 @@ impl RigConfig {
         self.sequence.validate()?;
         self.timing.validate()?;
         self.limits.validate()?;
+        self.projector.dlpc350.as_ref().map_or(Ok(()), Dlpc350Config::validate)?;
         self.sim.validate(self.sequence.patterns.len())?;
         let calibration = self.calibration()?;
         let pairs = [

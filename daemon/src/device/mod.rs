@@ -251,7 +251,12 @@ pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
                 let camera = recorded::RecordedCamera::new(Arc::clone(&deck));
                 (Box::new(camera), Box::new(recorded::RecordedProjector::new(deck)))
             }
-            (Backend::Simulated, Backend::Recorded) | (Backend::Recorded, Backend::Simulated) => {
+            (Backend::Simulated, Backend::Dlpc350) => {
+                let (camera, projector) = dlpc350::open_simulated(config, config.projector.dlpc350()?)?;
+                (Box::new(camera), Box::new(projector))
+            }
+            (Backend::Dlpc350, _) => return Err(DeviceError::config("camera.backend", "dlpc350 is a projector")),
+            (Backend::Simulated, Backend::Recorded) | (Backend::Recorded, _) => {
                 let reason = "camera and projector must both be recorded, or neither";
                 return Err(DeviceError::config("projector.backend", reason));
             }

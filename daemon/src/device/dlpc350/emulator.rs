@@ -535,6 +535,8 @@ impl HidLink for EmulatedLink {
             None => Err(LinkError::Disconnected),
         }
     }
+
+    fn pause(&mut self, _time: Duration) {}
 }
 
 impl HidOpener for EmulatedLink {
