@@ -11,6 +11,7 @@ mod demo;
 mod encode;
 mod flatten;
 mod info;
+mod install_udev;
 mod measure;
 mod patterns;
 mod progress;
@@ -58,6 +59,7 @@ enum Command {
     Flatten(flatten::Flatten),
     ExportRaw(raw::ExportRaw),
     Accuracy(accuracy::Accuracy),
+    InstallUdev(install_udev::InstallUdev),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -104,6 +106,7 @@ pub fn main() -> ExitCode {
         Command::Flatten(c) => c.run(),
         Command::ExportRaw(c) => c.run(),
         Command::Accuracy(c) => c.run(),
+        Command::InstallUdev(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

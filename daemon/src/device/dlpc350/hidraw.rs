@@ -76,7 +76,7 @@ impl HidOpener for HidrawOpener {
     }
 
     fn open(&mut self) -> Result<Box<dyn HidLink>, LinkError> {
-        let node = self.0.choose(find_hidraw()?, |node| [&node.bus_path, &node.serial])?;
+        let node = self.0.choose(find_hidraw()?, |node| [node.bus_path.clone(), node.serial.clone()])?;
         Ok(Box::new(HidrawLink::open(&node.path)?))
     }
 }

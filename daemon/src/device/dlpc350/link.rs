@@ -64,11 +64,11 @@ impl Wanted {
     ///
     /// # Errors
     /// [`LinkError::Failed`] when there is none, or more than one.
-    pub(super) fn choose<T>(&self, found: Vec<T>, place: impl Fn(&T) -> [&str; 2]) -> Result<T, LinkError> {
+    pub(super) fn choose<T>(&self, found: Vec<T>, place: impl Fn(&T) -> [String; 2]) -> Result<T, LinkError> {
         let is_meant = |one: &T| {
             let [bus_path, serial] = place(one);
-            self.serial.as_deref().is_none_or(|wanted| wanted == serial)
-                && self.bus_path.as_deref().is_none_or(|wanted| wanted == bus_path)
+            self.serial.as_ref().is_none_or(|wanted| *wanted == serial)
+                && self.bus_path.as_ref().is_none_or(|wanted| *wanted == bus_path)
         };
         if found.is_empty() {
             let reason = format!("not found (USB {VENDOR_ID:04x}:{PRODUCT_ID:04x}); is it plugged in and switched on?");
@@ -106,7 +106,10 @@ mod tests {
     fn the_projector_meant_is_chosen() {
         let choose = |serial: Option<&str>, bus_path: Option<&str>, found: &[[&'static str; 2]]| {
             let wanted = Wanted { serial: serial.map(Into::into), bus_path: bus_path.map(Into::into) };
-            wanted.choose(found.to_vec(), |one| *one).map(|[bus_path, _]| bus_path).map_err(|e| e.to_string())
+            wanted
+                .choose(found.to_vec(), |one| one.map(String::from))
+                .map(|[bus_path, _]| bus_path)
+                .map_err(|e| e.to_string())
         };
         let two = [["1-3", "LCR3"], ["1-4.2", ""]];
         assert_eq!(choose(Some("LCR3"), None, &two).unwrap(), "1-3");

@@ -12,6 +12,8 @@ pub mod emulator;
 #[cfg(target_os = "linux")]
 mod hidraw;
 mod link;
+#[cfg(feature = "nusb")]
+mod nusb;
 mod program;
 mod rehearsal;
 #[cfg(test)]
@@ -58,7 +60,10 @@ impl Dlpc350Projector {
         let opener: Box<dyn HidOpener> = match config.link {
             #[cfg(target_os = "linux")]
             LinkKind::Hidraw => Box::new(hidraw::HidrawOpener(Wanted::new(config))),
+            #[cfg(feature = "nusb")]
+            LinkKind::Usb => Box::new(nusb::NusbOpener(Wanted::new(config))),
             LinkKind::Emulated => Box::new(emulator::EmulatedLink::default()),
+            #[cfg(not(all(target_os = "linux", feature = "nusb")))]
             _ => {
                 let reason = "this build of gv3 cannot reach the projector so";
                 return Err(DeviceError::config("projector.dlpc350.link", reason));
