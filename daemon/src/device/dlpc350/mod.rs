@@ -14,6 +14,7 @@ mod hidraw;
 mod link;
 #[cfg(feature = "nusb")]
 mod nusb;
+mod planes;
 mod program;
 mod rehearsal;
 #[cfg(test)]
@@ -35,6 +36,7 @@ pub use driver::Dlpc350Counters;
 #[cfg(target_os = "linux")]
 pub use hidraw::{HidrawLink, HidrawNode, find_hidraw};
 pub use link::{HidLink, HidOpener, LinkError};
+pub use planes::{PackedImage, pack_images};
 pub use rehearsal::{EmulatedProjector, open_simulated};
 
 /// How often the projector is looked at.
