@@ -346,9 +346,9 @@ impl Dlpc350Emulator {
     }
 
     fn read(&mut self, command: u16) -> Result<Vec<u8>, Nack> {
-        let flash_images = self.flash_images;
         let state = &mut self.state;
-        let is_running = state.playback == Playback::Start && state.mode == DisplayMode::PatternSequence;
+        let is_lit = state.power == Power::Normal;
+        let is_running = state.playback == Playback::Start || state.mode == DisplayMode::Video;
         Ok(match command {
             HardwareStatus::COMMAND => {
                 state.status_reads |= 1;
@@ -360,9 +360,7 @@ impl Dlpc350Emulator {
             }
             MainStatus::COMMAND => {
                 state.status_reads |= 4;
-                let is_parked = state.power == Power::Standby;
-                let is_running = is_running || state.mode == DisplayMode::Video;
-                MainStatus { is_parked, is_running: is_running && !is_parked, is_frozen: false }.encode()
+                MainStatus { is_parked: !is_lit, is_running: is_running && is_lit, is_frozen: false }.encode()
             }
             Validation::COMMAND if state.busy_reads > 0 => {
                 state.busy_reads -= 1;
@@ -374,20 +372,8 @@ impl Dlpc350Emulator {
                 Version { application, interface, software: 0, sequencer: 0 }.encode()
             }
             FirmwareTag::COMMAND => FirmwareTag("gv3 emulated LightCrafter".into()).encode(),
-            FlashImageCount::COMMAND => FlashImageCount(flash_images).encode(),
-            Power::COMMAND => state.power.encode(),
-            InputSource::COMMAND => state.input.encode(),
-            DisplayMode::COMMAND => state.mode.encode(),
-            PatternSource::COMMAND => state.source.encode(),
-            Playback::COMMAND => state.playback.encode(),
-            TriggerMode::COMMAND => state.trigger.encode(),
-            ExposurePeriod::COMMAND => state.timing.encode(),
-            LutControl::COMMAND => state.lut.encode(),
-            TriggerOut1::COMMAND => state.trigger_1.encode(),
-            TriggerOut2::COMMAND => state.trigger_2.encode(),
-            LedEnable::COMMAND => state.leds.encode(),
-            LedCurrent::COMMAND => state.current.encode(),
-            _ => return Err(Nack),
+            FlashImageCount::COMMAND => FlashImageCount(self.flash_images).encode(),
+            _ => return state.setting(command),
         })
     }
 
@@ -480,6 +466,25 @@ impl Dlpc350Emulator {
 }
 
 impl State {
+    /// What was set.
+    fn setting(&self, command: u16) -> Result<Vec<u8>, Nack> {
+        Ok(match command {
+            Power::COMMAND => self.power.encode(),
+            InputSource::COMMAND => self.input.encode(),
+            DisplayMode::COMMAND => self.mode.encode(),
+            PatternSource::COMMAND => self.source.encode(),
+            Playback::COMMAND => self.playback.encode(),
+            TriggerMode::COMMAND => self.trigger.encode(),
+            ExposurePeriod::COMMAND => self.timing.encode(),
+            LutControl::COMMAND => self.lut.encode(),
+            TriggerOut1::COMMAND => self.trigger_1.encode(),
+            TriggerOut2::COMMAND => self.trigger_2.encode(),
+            LedEnable::COMMAND => self.leds.encode(),
+            LedCurrent::COMMAND => self.current.encode(),
+            _ => return Err(Nack),
+        })
+    }
+
     fn write_table(&mut self, payload: &[u8]) -> Result<(), Nack> {
         match self.mailbox {
             Mailbox::Patterns => {
