@@ -11,6 +11,7 @@ mod demo;
 mod encode;
 mod flatten;
 mod info;
+mod install_udev;
 mod measure;
 mod patterns;
 mod progress;
@@ -60,6 +61,7 @@ enum Command {
     ExportRaw(raw::ExportRaw),
     Accuracy(accuracy::Accuracy),
     VirtualScanner(virtual_scanner::VirtualScannerCommand),
+    InstallUdev(install_udev::InstallUdev),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -107,6 +109,7 @@ pub fn main() -> ExitCode {
         Command::ExportRaw(c) => c.run(),
         Command::Accuracy(c) => c.run(),
         Command::VirtualScanner(c) => c.run(),
+        Command::InstallUdev(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

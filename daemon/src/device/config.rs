@@ -1,5 +1,6 @@
 //! A rig's configuration: which devices, which patterns, when, and with what calibration.
 
+use super::dlpc350::Dlpc350Config;
 use super::gv3_usb::UsbTransportKind;
 use super::recorded::{RecordedConfig, stored_config};
 use super::{CameraSettings, DeviceError, SequenceTiming, TriggerConfig, TriggerSource, V4lConfig};
@@ -23,6 +24,8 @@ pub enum Backend {
     Gv3Usb,
     /// A camera behind Video4Linux, as `[camera.v4l]` names it.
     V4l,
+    /// A TI LightCrafter 4500 projector, as `[projector.dlpc350]` names it.
+    Dlpc350,
 }
 
 /// The camera of a rig.
@@ -55,12 +58,15 @@ pub struct ProjectorConfig {
     /// Where the USB projector meant is plugged in: bus and ports as in `3-1.2`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bus_path: Option<String>,
+    /// Which LightCrafter 4500, and how it is set up.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dlpc350: Option<Dlpc350Config>,
 }
 
 impl ProjectorConfig {
     /// A projector that needs no more said.
     pub fn of(backend: Backend) -> Self {
-        Self { backend, transport: None, serial: None, bus_path: None }
+        Self { backend, transport: None, serial: None, bus_path: None, dlpc350: None }
     }
 
     /// Whether it is a USB projector in this process.
@@ -68,17 +74,26 @@ impl ProjectorConfig {
         self.transport == Some(UsbTransportKind::Simulated)
     }
 
-    /// Only USB projectors have a transport, a serial number and a place.
+    /// The settings of a LightCrafter 4500.
+    ///
+    /// # Errors
+    /// [`DeviceError::Config`] when there are none.
+    pub fn dlpc350(&self) -> Result<&Dlpc350Config, DeviceError> {
+        self.dlpc350.as_ref().ok_or_else(|| DeviceError::config("projector.dlpc350", "missing for this backend"))
+    }
+
+    /// Only gv3 projectors have a transport, a serial number and a place; a LightCrafter has a table of its own.
     fn validate(&self) -> Result<(), DeviceError> {
         let fields = [
             ("projector.transport", self.transport.is_some()),
             ("projector.serial", self.serial.is_some()),
             ("projector.bus_path", self.bus_path.is_some()),
         ];
-        match fields.into_iter().find(|(_, is_given)| *is_given && self.backend != Backend::Gv3Usb) {
-            Some((field, _)) => Err(DeviceError::config(field, "only for the backend \"gv3_usb\"; remove it")),
-            None => Ok(()),
+        if let Some((field, _)) = fields.into_iter().find(|(_, is_given)| *is_given && self.backend != Backend::Gv3Usb)
+        {
+            return Err(DeviceError::config(field, "only for the backend \"gv3_usb\"; remove it"));
         }
+        self.dlpc350.as_ref().map_or(Ok(()), Dlpc350Config::validate)
     }
 }
 

@@ -1,6 +1,7 @@
 //! Cameras, projectors and trigger controllers behind blocking, object-safe traits; [`open`] is the only place that names concrete types.
 
 pub mod config;
+pub mod dlpc350;
 pub mod exposure;
 pub mod frame;
 pub mod gv3_usb;
@@ -326,13 +327,21 @@ pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
                     "a simulated camera sees no real light; take a real camera, or the transport \"simulated\"";
                 return Err(DeviceError::config("camera.backend", reason));
             }
+            (Backend::Simulated, Backend::Dlpc350) => {
+                let (camera, projector) = dlpc350::open_simulated(config, config.projector.dlpc350()?)?;
+                (Box::new(camera), Box::new(projector))
+            }
             (Backend::V4l, Backend::Gv3Usb) => (open_v4l(config)?, Box::new(gv3_usb::open(&config.projector)?)),
+            (Backend::V4l, Backend::Dlpc350) => {
+                (open_v4l(config)?, Box::new(dlpc350::Dlpc350Projector::open(config.projector.dlpc350()?)?))
+            }
             // A simulated projector lights nothing that a real camera sees; with it a camera can be tried alone.
             (Backend::V4l, Backend::Simulated) => {
                 let world = Arc::new(Mutex::new(sim::SimWorld::new(config)?));
                 (open_v4l(config)?, Box::new(sim::SimProjector::new(world)))
             }
             (Backend::Gv3Usb, _) => return Err(DeviceError::config("camera.backend", "gv3_usb is a projector")),
+            (Backend::Dlpc350, _) => return Err(DeviceError::config("camera.backend", "dlpc350 is a projector")),
             (_, Backend::V4l) => return Err(DeviceError::config("projector.backend", "v4l is no projector")),
             (Backend::Recorded, _) | (_, Backend::Recorded) => {
                 let reason = "camera and projector must both be recorded, or neither";
