@@ -8,6 +8,7 @@ mod calibrate_gamma;
 mod capture;
 mod decode;
 mod demo;
+mod devices;
 mod encode;
 mod flatten;
 mod info;
@@ -46,6 +47,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Demo(demo::Demo),
+    Devices(devices::Devices),
     Calibrate(calibrate::Calibrate),
     Capture(capture::Capture),
     Encode(encode::Encode),
@@ -94,6 +96,7 @@ pub fn main() -> ExitCode {
         .init();
     let outcome = match arguments.command {
         Command::Demo(c) => c.run(),
+        Command::Devices(c) => c.run(),
         Command::Calibrate(c) => c.run(),
         Command::Capture(c) => c.run(),
         Command::Encode(c) => c.run(),

@@ -106,6 +106,9 @@ pub struct RigConfig {
     /// Calibration file (TOML, JSON or OpenCV's YAML); a relative path starts at the rig's file. Either this or `calibration`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration_file: Option<PathBuf>,
+    /// How long a recording waits without a picture, say while a device is unplugged, before it ends; seconds.
+    #[serde(default = "default_silence_limit_seconds", skip_serializing_if = "is_default_silence_limit")]
+    pub silence_limit_seconds: u32,
     /// The camera.
     pub camera: CameraConfig,
     /// The projector.
@@ -134,6 +137,14 @@ pub struct RigConfig {
     pub calibration: Option<Calibration>,
 }
 
+fn default_silence_limit_seconds() -> u32 {
+    60
+}
+
+fn is_default_silence_limit(seconds: &u32) -> bool {
+    *seconds == default_silence_limit_seconds()
+}
+
 impl RigConfig {
     /// The built-in simulated scanner: 640x480 at 180 pictures/s, 30 scans/s, a talking head at 600 mm.
     pub fn simulated() -> Self {
@@ -146,6 +157,7 @@ impl RigConfig {
             projector: ProjectorConfig::of(Backend::Simulated),
             trigger: None,
             timing: SequenceTiming { picture_period_nanos: 5_555_556, exposure_nanos: 5_000_000 },
+            silence_limit_seconds: default_silence_limit_seconds(),
             limits: Limits::default(),
             processing: ProcessingConfig::default(),
             sim: SimConfig::default(),

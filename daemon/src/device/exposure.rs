@@ -2,7 +2,7 @@
 
 use super::{DeviceError, PatternIndex};
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 /// Exposures that wait to be read: six seconds of the fastest camera.
@@ -23,7 +23,8 @@ pub struct Exposure {
     pub exposure_nanos: u64,
 }
 
-/// The exposures of a projector, in order. Clones read from the same queue; when nobody reads, the oldest give way.
+/// The exposures of a projector, in order, and how often it began to play. Clones read from the same queue; when nobody reads,
+/// the oldest give way.
 #[derive(Debug, Clone, Default)]
 pub struct ExposureFeed(Arc<Shared>);
 
@@ -31,21 +32,50 @@ pub struct ExposureFeed(Arc<Shared>);
 struct Shared {
     queue: Mutex<Queue>,
     is_new: Condvar,
+    /// Tells of runs only.
+    is_silent: bool,
 }
 
 #[derive(Debug, Default)]
 struct Queue {
     exposures: VecDeque<Exposure>,
     lost: u64,
+    runs: u64,
 }
 
 impl ExposureFeed {
+    /// Of a projector that tells when it begins anew, but of no exposure.
+    pub(super) fn silent() -> Self {
+        Self(Arc::new(Shared { is_silent: true, ..Shared::default() }))
+    }
+
+    /// Whether exposures are reported at all.
+    pub fn tells_exposures(&self) -> bool {
+        !self.0.is_silent
+    }
+
+    /// How often the projector began to play, be it that it was told to or that it was unplugged. Counted before its first
+    /// light, so whoever has a picture of a run finds it counted.
+    pub fn runs(&self) -> u64 {
+        self.queue().runs
+    }
+
+    /// The exposures that are there, with the run they are all of.
+    pub(super) fn take(&self) -> (u64, VecDeque<Exposure>) {
+        let mut queue = self.queue();
+        (queue.runs, std::mem::take(&mut queue.exposures))
+    }
+
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.0.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Waits for the next exposure.
     ///
     /// # Errors
     /// [`DeviceError::Timeout`] when none came before `deadline`.
     pub fn next(&self, deadline: Instant) -> Result<Exposure, DeviceError> {
-        let queue = self.0.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        let queue = self.queue();
         let wait = deadline.saturating_duration_since(Instant::now());
         let (mut queue, _) = self
             .0
@@ -57,17 +87,23 @@ impl ExposureFeed {
 
     /// Exposures of this run that were shown but not reported, or that nobody read in time.
     pub fn lost(&self) -> u64 {
-        self.0.queue.lock().unwrap_or_else(PoisonError::into_inner).lost
+        self.queue().lost
     }
 
-    /// A run begins: what is left of the one before is of no use.
-    pub(super) fn begin(&self) {
-        *self.0.queue.lock().unwrap_or_else(PoisonError::into_inner) = Queue::default();
+    /// A run begins: what is left of the one before is of no use. Gives the run's number.
+    pub(super) fn begin(&self) -> u64 {
+        let mut queue = self.queue();
+        *queue = Queue { runs: queue.runs + 1, ..Queue::default() };
+        queue.runs
     }
 
-    /// An exposure was reported.
-    pub(super) fn push(&self, exposure: Exposure) {
-        let mut queue = self.0.queue.lock().unwrap_or_else(PoisonError::into_inner);
+    /// An exposure of a run was reported.
+    pub(super) fn push(&self, run: u64, exposure: Exposure) {
+        let mut queue = self.queue();
+        // Of the run before, still on its way.
+        if run != queue.runs {
+            return;
+        }
         if queue.exposures.len() == QUEUE {
             queue.exposures.pop_front();
             queue.lost += 1;
@@ -78,6 +114,6 @@ impl ExposureFeed {
 
     /// Exposures went unreported.
     pub(super) fn lose(&self, count: u64) {
-        self.0.queue.lock().unwrap_or_else(PoisonError::into_inner).lost += count;
+        self.queue().lost += count;
     }
 }

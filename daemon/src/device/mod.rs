@@ -5,6 +5,7 @@ pub mod dlpc350;
 pub mod exposure;
 pub mod frame;
 pub mod gv3_usb;
+pub mod plugged;
 pub mod proven_camera;
 pub mod recorded;
 pub mod serial_trigger;
@@ -18,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 pub use config::{Backend, CameraConfig, ProjectorConfig, RigConfig};
 pub use exposure::{Exposure, ExposureFeed};
@@ -223,7 +224,7 @@ pub trait Projector: Send {
     /// # Errors
     /// [`DeviceError::Disconnected`] when the projector is gone.
     fn stop(&mut self) -> Result<(), DeviceError>;
-    /// What it reports of every exposure while it plays; `None` when it does not tell.
+    /// What it reports while it plays: every exposure, or at least that it began anew; `None` when it never does by itself.
     fn exposures(&self) -> Option<ExposureFeed> {
         None
     }
@@ -292,6 +293,8 @@ pub struct Rig {
     pub sequence: PatternSequence,
     /// When they are shown.
     pub timing: SequenceTiming,
+    /// How long a recording waits without a picture before it ends.
+    pub silence_limit: Duration,
     /// Limits for reconstruction.
     pub limits: Limits,
     /// Choices for reconstruction.
@@ -349,13 +352,13 @@ pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
             }
         };
     let mut trigger = serial_trigger::open(config)?;
-    let camera = match &mut trigger {
-        None if config.camera.backend != Backend::V4l => camera,
-        trigger => {
-            let reports = trigger.as_mut().map(|trigger| trigger.events());
-            let period_nanos = config.timing.picture_period_nanos;
-            Box::new(ProvenCamera::new(camera, reports, period_nanos, config.sequence.patterns.len()))
-        }
+    let reports = trigger.as_mut().map(|trigger| trigger.events());
+    let exposures = projector.exposures();
+    let camera = if config.camera.backend == Backend::V4l || reports.is_some() || exposures.is_some() {
+        let period_nanos = config.timing.picture_period_nanos;
+        Box::new(ProvenCamera::new(camera, reports, exposures, period_nanos, config.sequence.patterns.len()))
+    } else {
+        camera
     };
     Ok(Rig {
         camera,
@@ -364,6 +367,7 @@ pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
         calibration,
         sequence: config.sequence.clone(),
         timing: config.timing,
+        silence_limit: Duration::from_secs(config.silence_limit_seconds.into()),
         limits: config.limits,
         processing,
     })

@@ -9,11 +9,19 @@
 //! What time cannot tell: a run whose very first picture the sensor skipped without the driver's numbers showing it is off by
 //! one throughout. A camera that is started before the first pulse, as it is here, has no reason to.
 //!
-//! With a trigger controller every pulse must be reported besides: pictures wait until the report of their pulse, or of a later
-//! one of the same schedule, has come. Pulses that came late, or not at all, take their pictures with them. What is left over
-//! has the numbers of the pulses, and [`crate::pipeline::FrameSetAssembler`] drops the sets that have gaps.
+//! With a trigger controller, or a projector that reports its exposures, every pulse must be reported besides: pictures wait
+//! until the report of their pulse, or of a later one of the same schedule, has come. Pulses that came late, or not at all,
+//! take their pictures with them. What is left over has the numbers of the pulses, and
+//! [`crate::pipeline::FrameSetAssembler`] drops the sets that have gaps.
+//!
+//! Reports and pictures are on two clocks. When one slips against the other by a pulse, no picture after it has a number that
+//! can be trusted; nor has one when the projector or the controller began anew. Then the device counts as disconnected: the
+//! run is over, and who wants pictures begins another with all devices. A projector's word goes beyond the controller's: what
+//! it shows at a pulse only it knows.
 
-use super::{Camera, CameraInfo, CameraSettings, DeviceError, Frame, PatternIndex, TriggerEvent, TriggerSource};
+use super::{
+    Camera, CameraInfo, CameraSettings, DeviceError, ExposureFeed, Frame, PatternIndex, TriggerEvent, TriggerSource,
+};
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
@@ -25,6 +33,8 @@ const MOST_HELD: usize = 32;
 const SLICE: Duration = Duration::from_millis(5);
 /// The clock's distance is followed by this part of every picture's.
 const FOLLOW_PART: i128 = 8;
+/// The device that an [`ExposureFeed`] is of.
+const PROJECTOR: &str = "the projector";
 /// Bad pulses that are remembered.
 const MOST_BAD: usize = 1024;
 
@@ -33,16 +43,20 @@ const MOST_BAD: usize = 1024;
 struct PulseProof {
     period_nanos: i128,
     pattern_count: u64,
-    has_trigger: bool,
+    /// Who reports pulses.
+    reporter: Option<&'static str>,
     /// Number of a pulse and when it is on the sensor's clock.
     anchor: Option<(i128, i128)>,
     /// The driver's number and the pulse's of the picture before.
     last: Option<(u64, i128)>,
     /// The last pulse reported, and when it was on the controller's clock.
     reported: Option<(u64, u64)>,
+    /// From the sensor's clock to that of the reports, nanoseconds.
+    skew_nanos: Option<i128>,
     bad: BTreeSet<u64>,
     held: VecDeque<Frame>,
-    is_restarted: bool,
+    /// With whom the run has ended.
+    ended_by: Option<&'static str>,
     /// Pictures that got another number than the driver's.
     renumbered: u64,
     /// Pictures dropped with their pulses.
@@ -51,8 +65,8 @@ struct PulseProof {
 
 impl PulseProof {
     fn begin(&mut self) {
-        let Self { period_nanos, pattern_count, has_trigger, .. } = *self;
-        *self = Self { period_nanos, pattern_count, has_trigger, ..Self::default() };
+        let Self { period_nanos, pattern_count, reporter, .. } = *self;
+        *self = Self { period_nanos, pattern_count, reporter, ..Self::default() };
     }
 
     /// When a pulse is due on the sensor's clock.
@@ -98,12 +112,27 @@ impl PulseProof {
                     }
                 }
                 self.reported = Some((counter, time_nanos));
+                self.compare_clocks(counter, time_nanos);
             }
             TriggerEvent::Overrun { counter } => self.bad.extend([counter]),
-            TriggerEvent::Restarted => self.is_restarted = true,
+            TriggerEvent::Restarted => self.ended_by = self.reporter,
         }
         while self.bad.len() > MOST_BAD {
             self.bad.pop_first();
+        }
+    }
+
+    /// Follows the distance of the two clocks; a step of nearly a period is a pulse that one of them does not know of.
+    fn compare_clocks(&mut self, counter: u64, time_nanos: u64) {
+        let Some(anchor) = self.anchor else { return };
+        let skew_nanos = i128::from(time_nanos) - self.due_nanos(anchor, counter.into());
+        let known_nanos = *self.skew_nanos.get_or_insert(skew_nanos);
+        let step_nanos = skew_nanos - known_nanos;
+        if 4 * step_nanos.abs() > 3 * self.period_nanos {
+            warn!(counter, step_nanos, "pictures and pulses are out of step");
+            self.ended_by = self.reporter;
+        } else if 4 * step_nanos.abs() <= self.period_nanos {
+            self.skew_nanos = Some(known_nanos + step_nanos / FOLLOW_PART);
         }
     }
 
@@ -111,7 +140,7 @@ impl PulseProof {
     fn take(&mut self) -> Option<Frame> {
         loop {
             let number = self.held.front()?.sequence;
-            if self.has_trigger && self.reported.is_none_or(|(reported, _)| number > reported) {
+            if self.reporter.is_some() && self.reported.is_none_or(|(reported, _)| number > reported) {
                 return None;
             }
             let frame = self.held.pop_front()?;
@@ -127,35 +156,75 @@ impl PulseProof {
 pub struct ProvenCamera {
     inner: Box<dyn Camera>,
     reports: Option<Receiver<TriggerEvent>>,
+    exposures: Option<ExposureFeed>,
+    /// The projector's runs before the camera was started, and the run that the pictures are of once one is there.
+    runs: (u64, Option<u64>),
     proof: PulseProof,
     /// Exposures are started by the trigger line; the camera's own clock needs no proof.
     is_triggered: bool,
 }
 
 impl ProvenCamera {
-    /// Puts the proof before a camera; `reports` are a trigger controller's, if there is one.
+    /// Puts the proof before a camera; `reports` are a trigger controller's, if there is one, `exposures` the projector's, if
+    /// it tells of them.
     pub fn new(
         inner: Box<dyn Camera>,
         reports: Option<Receiver<TriggerEvent>>,
+        exposures: Option<ExposureFeed>,
         period_nanos: u64,
         pattern_count: usize,
     ) -> Self {
+        let tells_exposures = exposures.as_ref().is_some_and(ExposureFeed::tells_exposures);
+        let reporter = match (&reports, tells_exposures) {
+            (Some(_), _) => Some("the trigger controller"),
+            (None, true) => Some(PROJECTOR),
+            (None, false) => None,
+        };
         let proof = PulseProof {
             period_nanos: i128::from(period_nanos.max(1)),
             pattern_count: pattern_count.max(1) as u64,
-            has_trigger: reports.is_some(),
+            reporter,
             ..PulseProof::default()
         };
-        Self { inner, reports, proof, is_triggered: true }
+        Self { inner, reports, exposures, runs: (0, None), proof, is_triggered: true }
     }
 
-    /// Takes what the controller has reported; waits up to `patience` for the first.
+    /// The first picture tells which of the projector's runs it is of.
+    fn picture(&mut self, frame: Frame) {
+        if let (Some(exposures), (before, run @ None)) = (&self.exposures, &mut self.runs) {
+            let now = *run.insert(exposures.runs());
+            if now > *before + 1 {
+                self.proof.ended_by = Some(PROJECTOR);
+            }
+        }
+        self.proof.picture(frame);
+    }
+
+    /// Takes what the projector has reported; without a controller it waits up to `patience` for the first.
+    fn listen_to_projector(&mut self, patience: Duration) {
+        let (Some(feed), (_, Some(run))) = (&self.exposures, self.runs) else { return };
+        let is_alone = self.reports.is_none() && feed.tells_exposures();
+        let first = if is_alone && !patience.is_zero() { feed.next(Instant::now() + patience).ok() } else { None };
+        let (now, rest) = feed.take();
+        if now != run {
+            warn!("the projector began anew");
+            self.proof.ended_by = Some(PROJECTOR);
+        } else if is_alone {
+            for exposure in first.into_iter().chain(rest) {
+                let (counter, time_nanos) = (exposure.sequence, exposure.device_time_nanos);
+                self.proof.event(TriggerEvent::Pulse { counter, time_nanos });
+            }
+        }
+    }
+
+    /// Takes what was reported; waits up to `patience` for the first.
     fn listen(&mut self, patience: Duration) {
+        self.listen_to_projector(patience);
         let Some(reports) = &self.reports else { return };
         match reports.recv_timeout(patience) {
             Ok(event) => self.proof.event(event),
             Err(RecvTimeoutError::Timeout) => return,
-            Err(RecvTimeoutError::Disconnected) => self.proof.is_restarted = true,
+            Err(RecvTimeoutError::Disconnected) => self.proof.ended_by = self.proof.reporter,
         }
         reports.try_iter().for_each(|event| self.proof.event(event));
     }
@@ -175,6 +244,7 @@ impl Camera for ProvenCamera {
         // Reports of a run before are none of this one.
         self.reports.iter().for_each(|reports| reports.try_iter().for_each(drop));
         self.proof.begin();
+        self.runs = (self.exposures.as_ref().map_or(0, ExposureFeed::runs), None);
         self.inner.start()
     }
 
@@ -184,8 +254,8 @@ impl Camera for ProvenCamera {
         }
         loop {
             self.listen(Duration::ZERO);
-            if self.proof.is_restarted {
-                return Err(DeviceError::Disconnected("the trigger controller".into()));
+            if let Some(device) = self.proof.ended_by {
+                return Err(DeviceError::Disconnected(device.into()));
             }
             if let Some(frame) = self.proof.take() {
                 return Ok(frame);
@@ -193,7 +263,7 @@ impl Camera for ProvenCamera {
             let now = Instant::now();
             if self.proof.held.len() >= MOST_HELD {
                 if now >= deadline {
-                    return Err(DeviceError::Timeout("the trigger controller reports no pulses".into()));
+                    return Err(DeviceError::Timeout("no pulses are reported".into()));
                 }
                 self.listen(deadline - now);
                 continue;
@@ -201,7 +271,7 @@ impl Camera for ProvenCamera {
             let is_waiting = !self.proof.held.is_empty();
             let until = if is_waiting { deadline.min(now + SLICE) } else { deadline };
             match self.inner.next_frame(until) {
-                Ok(frame) => self.proof.picture(frame),
+                Ok(frame) => self.picture(frame),
                 Err(DeviceError::Timeout(_)) if is_waiting && Instant::now() < deadline => {}
                 Err(error) => return Err(error),
             }
@@ -241,7 +311,8 @@ mod tests {
 
     fn proof(has_trigger: bool) -> PulseProof {
         let period_nanos = i128::from(PERIOD);
-        PulseProof { period_nanos, pattern_count: PATTERNS, has_trigger, ..PulseProof::default() }
+        let reporter = has_trigger.then_some(PROJECTOR);
+        PulseProof { period_nanos, pattern_count: PATTERNS, reporter, ..PulseProof::default() }
     }
 
     fn report(counter: u64) -> TriggerEvent {
@@ -294,15 +365,33 @@ mod tests {
     #[test]
     fn pulses_off_their_schedule_prove_nothing() {
         let mut proof = proof(true);
-        (0..8).for_each(|k| proof.picture(frame(k, k)));
+        (0..12).for_each(|k| proof.picture(frame(k, k)));
         proof.event(report(0));
-        proof.event(TriggerEvent::Pulse { counter: 4, time_nanos: 7_000_000_000 + 6 * PERIOD });
-        proof.event(TriggerEvent::Pulse { counter: 7, time_nanos: 7_000_000_000 + 9 * PERIOD });
-        assert_eq!((all(&mut proof), proof.disproven), (vec![0, 5, 6, 7], 4));
+        proof.event(TriggerEvent::Pulse { counter: 4, time_nanos: 7_000_000_000 + 4 * PERIOD + PERIOD * 2 / 5 });
+        (7..12).for_each(|k| proof.event(report(k)));
+        // Neither the pulses up to the late one nor those between it and the next on time.
+        assert_eq!((all(&mut proof), proof.disproven), (vec![0, 8, 9, 10, 11], 7));
         proof.event(TriggerEvent::Restarted);
-        assert!(proof.is_restarted);
+        assert_eq!(proof.ended_by, Some(PROJECTOR));
         proof.begin();
-        assert!(!proof.is_restarted && proof.has_trigger);
+        assert!(proof.ended_by.is_none() && proof.reporter.is_some());
+    }
+
+    #[test]
+    fn a_pulse_that_only_one_side_knows_ends_the_run() {
+        for skipped in [-1i64, 1, 2] {
+            let mut proof = proof(true);
+            for k in 0..40u64 {
+                // Both clocks drift, the camera's stamps jitter.
+                let mut picture = frame(k, k);
+                picture.device_time_nanos += k * 900 + k * 7919 % 1_000_000;
+                proof.picture(picture);
+                let shown = if k < 20 { 0 } else { skipped * PERIOD as i64 };
+                let time_nanos = (7_000_000_000 + k * (PERIOD - 1700)).saturating_add_signed(shown);
+                proof.event(TriggerEvent::Pulse { counter: k, time_nanos });
+                assert_eq!(proof.ended_by.is_some(), k >= 20, "pulse {k}, {skipped} skipped");
+            }
+        }
     }
 
     proptest! {

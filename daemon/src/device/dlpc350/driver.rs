@@ -4,7 +4,7 @@ use super::config::Dlpc350Config;
 use super::conversation::{Conversation, TalkError};
 use super::link::{HidOpener, LinkError};
 use super::program::Program;
-use crate::device::DeviceError;
+use crate::device::{DeviceError, ExposureFeed};
 use gv3_protocol::dlpc350::{
     DisplayMode, FirmwareTag, FlashImageCount, HardwareStatus, ImageLut, Input, InputSource, LedCurrent, LedEnable,
     Mailbox, MailboxOffset, MainStatus, PatternLut, PatternSource, Playback, Power, SystemStatus, Validate, Validation,
@@ -39,14 +39,16 @@ pub(super) struct Driver {
     opener: Box<dyn HidOpener>,
     conversation: Option<Conversation>,
     playing: Option<Program>,
+    /// Of runs alone: the projector reports no exposures.
+    pub(super) runs: ExposureFeed,
     pub(super) counters: Dlpc350Counters,
 }
 
 impl Driver {
     /// Opens the projector, wakes it, makes it dark and sets its light.
     pub(super) fn open(config: Dlpc350Config, opener: Box<dyn HidOpener>) -> Result<Self, DeviceError> {
-        let mut driver =
-            Self { config, opener, conversation: None, playing: None, counters: Dlpc350Counters::default() };
+        let (runs, counters) = (ExposureFeed::silent(), Dlpc350Counters::default());
+        let mut driver = Self { config, opener, conversation: None, playing: None, runs, counters };
         driver.connected()?;
         Ok(driver)
     }
@@ -103,6 +105,7 @@ impl Driver {
         check_verdict(verdict)?;
         let (hardware, system, main) = self.talk(|c| Ok((c.read()?, c.read()?, c.read()?)))?;
         check_health(hardware, system, main)?;
+        self.runs.begin();
         if self.talk(|c| reach(c, Playback::Start))? {
             return Ok(());
         }

@@ -20,7 +20,7 @@ mod rehearsal;
 #[cfg(test)]
 mod tests;
 
-use super::{DeviceError, PatternIndex, Projector, ProjectorInfo, SequenceTiming};
+use super::{DeviceError, ExposureFeed, PatternIndex, Projector, ProjectorInfo, SequenceTiming};
 use crate::light::PatternSequence;
 use driver::Driver;
 use gv3_protocol::dlpc350::{HEIGHT_PX, WIDTH_PX};
@@ -163,6 +163,10 @@ impl Projector for Dlpc350Projector {
 
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.driver().stop()
+    }
+
+    fn exposures(&self) -> Option<ExposureFeed> {
+        Some(self.driver().runs.clone())
     }
 }
 

@@ -3,7 +3,7 @@
 use super::emulator::{EmulatedLink, Shown};
 use super::{Dlpc350Config, Dlpc350Projector, LinkKind, WATCH_INTERVAL};
 use crate::device::sim::{SimCamera, SimProjector, SimWorld};
-use crate::device::{DeviceError, PatternIndex, Projector, ProjectorInfo, RigConfig, SequenceTiming};
+use crate::device::{DeviceError, ExposureFeed, PatternIndex, Projector, ProjectorInfo, RigConfig, SequenceTiming};
 use crate::light::PatternSequence;
 use std::sync::{Arc, Mutex};
 
@@ -86,5 +86,9 @@ impl Projector for EmulatedProjector {
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.projector.stop()?;
         self.light.stop()
+    }
+
+    fn exposures(&self) -> Option<ExposureFeed> {
+        self.projector.exposures()
     }
 }

@@ -17,6 +17,8 @@ mod watch;
 pub use in_process::{CableFault, Socket};
 #[cfg(feature = "nusb")]
 pub use nusb::NusbTransport;
+#[cfg(feature = "nusb")]
+pub(super) use nusb::plugged;
 #[cfg(feature = "rusb")]
 pub use rusb::RusbTransport;
 pub use transport::{
@@ -83,7 +85,7 @@ struct Connection {
 /// Which exposures belong to the run under way.
 #[derive(Debug, Clone, Copy, Default)]
 struct Run {
-    /// Runs begun before it.
+    /// As the feed counts runs.
     number: u64,
     /// When it was armed, on the device's clock, nanoseconds.
     armed_nanos: u64,
@@ -205,8 +207,7 @@ impl Shared {
     /// From now on exposures of the run before do not count.
     fn begin_run(&self, armed_nanos: u64, pattern_count: u64) {
         let mut run = self.run();
-        *run = Run { number: run.number + 1, armed_nanos, pattern_count };
-        self.feed.begin();
+        *run = Run { number: self.feed.begin(), armed_nanos, pattern_count };
     }
 
     /// Uses the link, opened anew if it was lost; a transport that fails is lost.

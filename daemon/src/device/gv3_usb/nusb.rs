@@ -1,6 +1,7 @@
 //! Transfers by nusb.
 
 use super::transport::{UsbEndpoint, UsbError, UsbPipes, UsbPlace, UsbSelector, UsbTransport};
+use crate::device::plugged::{PluggedProjector, missing_rights};
 use gv3_protocol::gv3::{PRODUCT_ID, VENDOR_ID};
 use nusb::transfer::{
     Buffer, Bulk, BulkOrInterrupt, Completion, ControlIn, ControlOut, ControlType, EndpointDirection, In, Interrupt,
@@ -52,6 +53,28 @@ impl NusbTransport {
             place,
         })
     }
+}
+
+/// The gv3 projectors that are plugged in, each opened for a moment to see whether that is allowed.
+///
+/// # Errors
+/// [`UsbError::Failed`] when the system does not list its USB devices.
+pub(in crate::device) fn plugged() -> Result<Vec<PluggedProjector>, UsbError> {
+    let devices = nusb::list_devices().wait().map_err(|e| UsbError::Failed(format!("USB devices: {e}")))?;
+    let ours = devices.filter(|d| (d.vendor_id(), d.product_id()) == (VENDOR_ID, PRODUCT_ID));
+    let mut found: Vec<_> = ours
+        .map(|info| {
+            let UsbPlace { bus_path, serial } = place(&info);
+            let problem = info.open().wait().err().map(|error| match error.kind() {
+                ErrorKind::PermissionDenied => missing_rights(),
+                _ => error.to_string(),
+            });
+            let (serial, speed) = (serial.unwrap_or_default(), info.speed().map(|s| format!("{s:?}").to_lowercase()));
+            PluggedProjector { backend: "gv3_usb", serial, bus_path, node: None, speed, problem }
+        })
+        .collect();
+    found.sort_by(|a, b| a.bus_path.cmp(&b.bus_path));
+    Ok(found)
 }
 
 fn place(info: &DeviceInfo) -> UsbPlace {

@@ -147,12 +147,13 @@ impl Reader {
             self.shared.feed.lose(lost);
         }
         self.due = (run.number, told.trigger.saturating_add(1));
-        self.shared.feed.push(Exposure {
+        let exposure = Exposure {
             sequence: told.trigger,
             set: told.set,
             pattern: PatternIndex(told.pattern),
             device_time_nanos: told.device_time_nanos,
             exposure_nanos: told.exposure_nanos,
-        });
+        };
+        self.shared.feed.push(run.number, exposure);
     }
 }

@@ -56,7 +56,7 @@ pub enum FaultKind {
     Saturated,
     /// Its transfer stalls: the camera times out once, and then delivers it.
     Stalled,
-    /// The camera is unplugged when it should deliver it, and is gone until it is started again.
+    /// The camera is unplugged, once, when it should deliver it, and is gone until it is started again: a second later.
     Unplugged,
 }
 
@@ -393,6 +393,13 @@ impl SimWorld {
         self.fault_at(trigger, self.patterns.len() as u16)
     }
 
+    /// The camera's cable is put back, after the second that this takes.
+    fn plug_in(&mut self) {
+        if std::mem::take(&mut self.is_unplugged) {
+            self.clock_nanos += 1_000_000_000;
+        }
+    }
+
     /// What goes wrong with a picture of a run, in sets of `count` above 0.
     pub(crate) fn fault_at(&self, trigger: u64, count: u16) -> Option<FaultKind> {
         let count = u64::from(count);
@@ -419,6 +426,10 @@ impl SimWorld {
         self.triggers = sequence + 1;
         let fault = self.fault_of(sequence);
         if fault == Some(FaultKind::Unplugged) {
+            let count = self.patterns.len() as u64;
+            // A cable that is back in its place stays there.
+            let is_pulled = |f: &Fault| [f.set, f.picture.into()] == [sequence / count, sequence % count];
+            self.config.faults.retain(|f| f.kind != FaultKind::Unplugged || !is_pulled(f));
             self.is_unplugged = true;
             return Err(DeviceError::Disconnected("the simulated camera".into()));
         }

@@ -25,6 +25,15 @@ pub struct V4lNode {
 }
 
 impl V4lNode {
+    /// Pixel formats that it sends, as four characters each; none when it cannot be asked.
+    pub fn formats(&self) -> Vec<String> {
+        let offered = driver_call(|| {
+            use v4l::video::Capture;
+            Device::with_path(&self.path)?.enum_formats()
+        });
+        offered.unwrap_or_default().iter().map(|format| format.fourcc.to_string()).collect()
+    }
+
     fn is_wanted(&self, config: &V4lConfig) -> bool {
         let real = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
         config.device.as_deref().is_none_or(|path| real(path) == real(&self.path))
