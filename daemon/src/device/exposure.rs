@@ -23,7 +23,7 @@ pub struct Exposure {
     pub exposure_nanos: u64,
 }
 
-/// The exposures of a projector, in order, and how often it began to play. Clones read from the same queue; when nobody reads,
+/// The exposures of a projector, in order, and which of its runs they are of. Clones read from the same queue; when nobody reads,
 /// the oldest give way.
 #[derive(Debug, Clone, Default)]
 pub struct ExposureFeed(Arc<Shared>);
@@ -54,8 +54,8 @@ impl ExposureFeed {
         !self.0.is_silent
     }
 
-    /// How often the projector began to play, be it that it was told to or that it was unplugged. Counted before its first
-    /// light, so whoever has a picture of a run finds it counted.
+    /// A number that changes with every run: when the projector begins to play, before its first light, be it that it was
+    /// told to or that it was unplugged meanwhile, and when it is found to be gone.
     pub fn runs(&self) -> u64 {
         self.queue().runs
     }
@@ -95,6 +95,11 @@ impl ExposureFeed {
         let mut queue = self.queue();
         *queue = Queue { runs: queue.runs + 1, ..Queue::default() };
         queue.runs
+    }
+
+    /// The projector is gone, and with it its run.
+    pub(super) fn end(&self) {
+        self.begin();
     }
 
     /// An exposure of a run was reported.

@@ -157,8 +157,8 @@ pub struct ProvenCamera {
     inner: Box<dyn Camera>,
     reports: Option<Receiver<TriggerEvent>>,
     exposures: Option<ExposureFeed>,
-    /// The projector's runs before the camera was started, and the run that the pictures are of once one is there.
-    runs: (u64, Option<u64>),
+    /// Which of the projector's runs the pictures are of, once one is there.
+    run: Option<u64>,
     proof: PulseProof,
     /// Exposures are started by the trigger line; the camera's own clock needs no proof.
     is_triggered: bool,
@@ -186,28 +186,23 @@ impl ProvenCamera {
             reporter,
             ..PulseProof::default()
         };
-        Self { inner, reports, exposures, runs: (0, None), proof, is_triggered: true }
+        Self { inner, reports, exposures, run: None, proof, is_triggered: true }
     }
 
     /// The first picture tells which of the projector's runs it is of.
     fn picture(&mut self, frame: Frame) {
-        if let (Some(exposures), (before, run @ None)) = (&self.exposures, &mut self.runs) {
-            let now = *run.insert(exposures.runs());
-            if now > *before + 1 {
-                self.proof.ended_by = Some(PROJECTOR);
-            }
-        }
+        self.run = self.run.or(self.exposures.as_ref().map(ExposureFeed::runs));
         self.proof.picture(frame);
     }
 
     /// Takes what the projector has reported; without a controller it waits up to `patience` for the first.
     fn listen_to_projector(&mut self, patience: Duration) {
-        let (Some(feed), (_, Some(run))) = (&self.exposures, self.runs) else { return };
+        let (Some(feed), Some(run)) = (&self.exposures, self.run) else { return };
         let is_alone = self.reports.is_none() && feed.tells_exposures();
         let first = if is_alone && !patience.is_zero() { feed.next(Instant::now() + patience).ok() } else { None };
         let (now, rest) = feed.take();
         if now != run {
-            warn!("the projector began anew");
+            warn!("the projector is gone, or began anew");
             self.proof.ended_by = Some(PROJECTOR);
         } else if is_alone {
             for exposure in first.into_iter().chain(rest) {
@@ -244,7 +239,7 @@ impl Camera for ProvenCamera {
         // Reports of a run before are none of this one.
         self.reports.iter().for_each(|reports| reports.try_iter().for_each(drop));
         self.proof.begin();
-        self.runs = (self.exposures.as_ref().map_or(0, ExposureFeed::runs), None);
+        self.run = None;
         self.inner.start()
     }
 
@@ -272,7 +267,10 @@ impl Camera for ProvenCamera {
             let until = if is_waiting { deadline.min(now + SLICE) } else { deadline };
             match self.inner.next_frame(until) {
                 Ok(frame) => self.picture(frame),
-                Err(DeviceError::Timeout(_)) if is_waiting && Instant::now() < deadline => {}
+                Err(DeviceError::Timeout(_)) if is_waiting && Instant::now() < deadline => {
+                    // A camera in virtual time does not wait itself.
+                    self.listen(until.saturating_duration_since(Instant::now()));
+                }
                 Err(error) => return Err(error),
             }
         }

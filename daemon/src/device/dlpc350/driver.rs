@@ -88,6 +88,7 @@ impl Driver {
                 Err(error) => {
                     self.counters.disconnects += 1;
                     self.conversation = None;
+                    self.runs.end();
                     warn!("the projector does not answer ({error}); waiting for it");
                 }
             }

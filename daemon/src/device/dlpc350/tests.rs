@@ -180,8 +180,8 @@ fn a_lost_mode_and_an_unplugged_cable_are_noticed_and_mended() {
     tap.link.device().plug_in();
     driver.watch();
     assert_eq!(driver.counters, Dlpc350Counters { modes_lost: 1, disconnects: 2, resumed: 2 });
-    // Every start of its own is told to whoever has pictures of the run before.
-    assert_eq!(driver.runs.runs(), 4);
+    // Four starts and two disconnections, of which whoever has pictures of the run before is told.
+    assert_eq!(driver.runs.runs(), 6);
     assert_eq!((shown(&tap.link), tap.link.device().led_current()), (playing, config.current()));
     driver.stop().unwrap();
     tap.link.device().hot_plug_video();

@@ -224,6 +224,7 @@ impl Shared {
             warn!(%error, projector = name, "connection lost");
             connection.link = None;
             self.current.set(None);
+            self.feed.end();
         }
         result.map_err(|error| device_error(error, &name))
     }

@@ -88,6 +88,7 @@ impl Reader {
             warn!(projector = connection.name(), "unplugged");
             connection.link = None;
             self.shared.current.set(None);
+            self.shared.feed.end();
         }
     }
 
