@@ -6,6 +6,7 @@
 //! light::triangulate --PointGrid--> light::grid_mesh --TriMesh--> codec::Encoder --EncodedGroup-->
 //! protocol::session writer --bytes--> file
 //! raw: Frame --pipeline::raw--> protocol::raw writer --bytes--> folder --device::recorded--> Frame
+//! virtual scanner: sim::SimWorld --GreyPicture--> virtual_scanner --transfers--> usb_device --bytes--> USB/IP or usbredir
 //! replay: file --StoredGroup--> codec::Player --Scan at time t--> files, view, measure
 //! ```
 #![deny(unsafe_code)]
@@ -21,4 +22,6 @@ pub mod measure;
 pub mod pipeline;
 pub mod replay;
 pub mod sweep;
+pub mod usb_device;
 pub mod view;
+pub mod virtual_scanner;

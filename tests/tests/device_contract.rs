@@ -1,8 +1,13 @@
 //! What every camera and projector promises, run for each backend alike: through the traits, opened as programs open them.
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
+use gv3::device::dlpc350::{Dlpc350Config, LinkKind};
+use gv3::device::gv3_usb::UsbTransportKind;
 use gv3::device::sim::SceneConfig;
-use gv3::device::{self, CameraSettings, DeviceError, Frame, Pace, RecordedConfig, Rig, RigConfig, TriggerSource};
+use gv3::device::{
+    self, Backend, CameraSettings, DeviceError, Frame, Pace, ProjectorConfig, RecordedConfig, Rig, RigConfig,
+    TriggerSource,
+};
 use gv3::pipeline::RawRecorder;
 use gv3::pipeline::raw::run_rig;
 use std::path::Path;
@@ -152,11 +157,33 @@ fn the_simulated_backend_keeps_the_contract() {
 }
 
 #[test]
+fn a_projector_behind_the_vendor_protocol_keeps_the_contract() {
+    let mut config = simulated();
+    config.projector = ProjectorConfig::of(Backend::Gv3Usb);
+    config.projector.transport = Some(UsbTransportKind::Simulated);
+    check_backend(&config);
+}
+
+#[test]
 fn the_recorded_backend_keeps_the_contract() {
     let folder = tempfile::tempdir().unwrap();
     for (pace, is_loop) in [(Pace::Fast, false), (Pace::Sensor, false), (Pace::Fast, true)] {
         check_backend(&recorded(folder.path(), pace, is_loop));
     }
+}
+
+/// The LightCrafter's driver, whose other end is emulated byte by byte and shines into the simulated world.
+#[test]
+fn the_dlpc350_backend_keeps_the_contract() {
+    let mut config = simulated();
+    config.projector.backend = device::Backend::Dlpc350;
+    assert!(device::open(&config).err().unwrap().to_string().starts_with("projector.dlpc350: missing"));
+    config.projector.dlpc350 = Some(Dlpc350Config { link: LinkKind::Emulated, ..Dlpc350Config::flash(7, 2) });
+    // Its clock counts whole microseconds.
+    config.timing.picture_period_nanos = 5_555_000;
+    check_backend(&config);
+    config.projector.dlpc350 = Some(Dlpc350Config::flash(7, 2));
+    assert!(device::open(&config).err().unwrap().to_string().starts_with("camera.backend"));
 }
 
 #[test]

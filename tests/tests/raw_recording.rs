@@ -10,7 +10,7 @@ use gv3_protocol::raw::verify_raw;
 use gv3_protocol::session::{Event, SessionFile, SessionMetadata, SessionReader, SessionWriter};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Records a rig into a session; its scans too.
 fn record_to(path: &Path, rig: Rig, periods: Option<u64>) -> (Recorded, Vec<Scan>) {
@@ -138,7 +138,12 @@ fn silence_and_unplugging_come_out_as_they_were() {
     let raw = folder.path().join("raw");
     let config = RigConfig::simulated();
     let rig = device::open(&config).unwrap();
-    let rig = Rig { camera: Box::new(Failing { inner: rig.camera, calls: 0 }), ..rig };
+    let rig = Rig {
+        camera: Box::new(Failing { inner: rig.camera, calls: 0 }),
+        // Without waiting for the camera to come back.
+        silence_limit: Duration::ZERO,
+        ..rig
+    };
     let (rig, recorder) = RawRecorder::attach(rig, &config, &raw).unwrap();
     let error = gv3::pipeline::raw::run_rig(rig, None, &Default::default(), &Default::default()).unwrap_err();
     assert_eq!(error.to_string(), "camera 7 is disconnected");
@@ -157,6 +162,29 @@ fn silence_and_unplugging_come_out_as_they_were() {
     assert_eq!(came[6..9], ["6", "no picture before the deadline: nothing on the line", "7"]);
     assert_eq!((came[13].as_str(), came[14].as_str()), ("12", "camera 7 is disconnected"));
     assert!(came[15].ends_with("has ended"), "{}", came[15]);
+}
+
+#[test]
+fn what_was_recorded_after_an_unplugging_is_played_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let raw = folder.path().join("raw");
+    let mut config = RigConfig::simulated();
+    config.sim.faults = vec![Fault { kind: FaultKind::Unplugged, set: 2, picture: 3 }];
+    let (rig, recorder) = RawRecorder::attach(device::open(&config).unwrap(), &config, &raw).unwrap();
+    let (sets, drops) = gv3::pipeline::raw::run_rig(rig, Some(36), &Default::default(), &Default::default()).unwrap();
+    assert!(recorder.finish().unwrap().is_complete());
+    assert!(sets >= 4 && drops.lost >= 30, "{sets} {drops:?}");
+    let rig = device::open(&play(&raw)).unwrap();
+    let again = gv3::pipeline::raw::run_rig(rig, None, &Default::default(), &Default::default()).unwrap();
+    assert_eq!(again, (sets, drops));
+    let mut played = RawSets::open(&play(&raw)).unwrap();
+    let mut ticks = Vec::new();
+    while let Some(set) = played.next_set().unwrap() {
+        assert!(set.frames.iter().enumerate().all(|(i, f)| usize::from(f.pattern.0) == i));
+        ticks.push(set.tick);
+    }
+    assert_eq!((ticks.len() as u64, played.finish()), (sets, drops));
+    assert!(ticks[..2] == [0, 1] && ticks[2] > 30 && ticks.is_sorted(), "{ticks:?}");
 }
 
 #[test]

@@ -8,9 +8,11 @@ mod calibrate_gamma;
 mod capture;
 mod decode;
 mod demo;
+mod devices;
 mod encode;
 mod flatten;
 mod info;
+mod install_udev;
 mod measure;
 mod patterns;
 mod progress;
@@ -19,6 +21,7 @@ mod reconstruct;
 mod recover;
 mod sweep;
 mod verify;
+mod virtual_scanner;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
@@ -45,6 +48,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Demo(demo::Demo),
+    Devices(devices::Devices),
     Calibrate(calibrate::Calibrate),
     Capture(capture::Capture),
     Encode(encode::Encode),
@@ -60,6 +64,8 @@ enum Command {
     Flatten(flatten::Flatten),
     ExportRaw(raw::ExportRaw),
     Accuracy(accuracy::Accuracy),
+    VirtualScanner(virtual_scanner::VirtualScannerCommand),
+    InstallUdev(install_udev::InstallUdev),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -92,6 +98,7 @@ pub fn main() -> ExitCode {
         .init();
     let outcome = match arguments.command {
         Command::Demo(c) => c.run(),
+        Command::Devices(c) => c.run(),
         Command::Calibrate(c) => c.run(),
         Command::Capture(c) => c.run(),
         Command::Encode(c) => c.run(),
@@ -107,6 +114,8 @@ pub fn main() -> ExitCode {
         Command::Flatten(c) => c.run(),
         Command::ExportRaw(c) => c.run(),
         Command::Accuracy(c) => c.run(),
+        Command::VirtualScanner(c) => c.run(),
+        Command::InstallUdev(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

@@ -1,20 +1,22 @@
 //! `gv3 patterns`: the pictures that a projector shows.
 
 use super::Outcome;
+use crate::device::dlpc350::{PackedImage, pack_images};
 use crate::files::ProcessingConfig;
-use crate::files::picture::{PictureFormat, picture_bytes};
+use crate::files::picture::{PictureFormat, picture_bytes, rgb_bytes};
 use crate::files::raw_folder::{PictureNames, RawFolder};
 use crate::light::pattern::MAX_SIDE_PX;
 use crate::light::{Direction, PatternSequence};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
+use gv3_protocol::dlpc350::BitDepth;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// Write the pictures of a pattern sequence for any projector, and the sequence.toml that `gv3 reconstruct` reads.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  gv3 patterns two-frequency --size 912x1140 -o patterns\n  gv3 patterns gray --size 1920x1080 --both -o patterns\n  gv3 patterns gray-phase --size 1024x768 --period 24 --steps 4 --dither -o patterns"
+    after_help = "Examples:\n  gv3 patterns two-frequency --size 912x1140 -o patterns\n  gv3 patterns gray --size 1920x1080 --both -o patterns\n  gv3 patterns two-frequency --size 912x1140 --pack 7 --format bmp -o flash-images\n  gv3 patterns gray-phase --size 1024x768 --period 24 --steps 4 --dither -o patterns"
 )]
 pub struct Patterns {
     /// Kind of sequence.
@@ -47,6 +49,9 @@ pub struct Patterns {
     /// One bit a pixel, black and white, by Floyd-Steinberg dithering.
     #[arg(long)]
     dither: bool,
+    /// Pack the patterns at 1, 4, 7 or 8 bits into 24-bit images, as a LightCrafter 4500 takes them in flash or by video.
+    #[arg(long, value_name = "BITS", value_parser = ["1", "4", "7", "8"], conflicts_with = "dither")]
+    pack: Option<String>,
     /// Files to write.
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
@@ -88,7 +93,7 @@ enum Format {
     Bmp,
 }
 
-fn size(text: &str) -> Result<[u32; 2], String> {
+pub(super) fn size(text: &str) -> Result<[u32; 2], String> {
     let sides = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     match sides {
         Some(sides) if sides.iter().all(|n| (1..=MAX_SIDE_PX).contains(n)) => Ok(sides),
@@ -117,25 +122,46 @@ impl Patterns {
         let names = PictureNames::Numbered(format!("pattern_###.{}", format.extension()));
         let folder =
             RawFolder { pictures: names, first: 0, sequence, limits: None, processing: ProcessingConfig::default() };
-        for (index, name) in folder.names()?.iter().enumerate() {
-            let path = self.out.join(name);
-            let picture =
-                if self.dither { folder.sequence.render_dithered(index) } else { folder.sequence.render(index) };
-            write(&path, &picture_bytes(&picture, format, &path)?)?;
-        }
+        let depth = self.pack.as_ref().and_then(|bits| BitDepth::new(bits.parse().ok()?));
+        let pictures = match depth {
+            Some(depth) => self.write_packed(&folder.sequence, depth, format)?,
+            None => self.write_pictures(&folder, format)?,
+        };
         let path = self.out.join("sequence.toml");
         write(&path, folder.to_toml()?.as_bytes())?;
         let report = PatternsReport {
-            pictures: folder.sequence.patterns.len(),
+            pictures,
             width_px: folder.sequence.width_px,
             height_px: folder.sequence.height_px,
-            bits: if self.dither { 1 } else { 8 },
+            bits: depth.map_or(if self.dither { 1 } else { 8 }, BitDepth::bits),
             sequence: path,
         };
         Outcome::of(self.json, &report, || {
             let PatternsReport { pictures, width_px, height_px, bits, sequence } = &report;
             format!("{}: {pictures} pictures of {width_px} x {height_px} pixels, {bits} bit", sequence.display())
         })
+    }
+
+    /// One picture a pattern; how many.
+    fn write_pictures(&self, folder: &RawFolder, format: PictureFormat) -> Result<usize> {
+        let names = folder.names()?;
+        for (index, name) in names.iter().enumerate() {
+            let path = self.out.join(name);
+            let picture =
+                if self.dither { folder.sequence.render_dithered(index) } else { folder.sequence.render(index) };
+            write(&path, &picture_bytes(&picture, format, &path)?)?;
+        }
+        Ok(names.len())
+    }
+
+    /// Several patterns a picture; how many pictures.
+    fn write_packed(&self, sequence: &PatternSequence, depth: BitDepth, format: PictureFormat) -> Result<usize> {
+        let images = pack_images(sequence, depth);
+        for (index, PackedImage { width_px, height_px, rgb }) in images.iter().enumerate() {
+            let path = self.out.join(format!("image_{index:02}.{}", format.extension()));
+            write(&path, &rgb_bytes(rgb, [*width_px, *height_px], format, &path)?)?;
+        }
+        Ok(images.len())
     }
 
     fn sequence(&self) -> Result<PatternSequence> {
@@ -220,6 +246,21 @@ mod tests {
                 assert_eq!(picture, back.sequence.render(index), "{name}");
             }
         }
+    }
+
+    #[test]
+    fn packed_patterns_share_images() {
+        let folder = tempfile::tempdir().unwrap();
+        let size = ["two-frequency", "--size", "48x20", "--period", "8", "--long-period", "48"];
+        let json = run(folder.path(), &[&size[..], &["--pack", "7", "--format", "bmp", "--json"]].concat()).unwrap();
+        assert!(json.report.contains(r#""pictures": 2"#) && json.report.contains(r#""bits": 7"#), "{}", json.report);
+        let sequence = RawFolder::read(&folder.path().join("sequence.toml")).unwrap().sequence;
+        let image = image::open(folder.path().join("image_01.bmp")).unwrap().into_rgb8();
+        // The first pattern of an image is its green.
+        let green: Vec<u8> = image.pixels().map(|p| p.0[1]).collect();
+        assert!(green.iter().zip(&sequence.render(3).pixels).all(|(a, b)| a.abs_diff(*b) <= 2));
+        assert!(!folder.path().join("pattern_000.bmp").exists());
+        assert!(run(folder.path(), &[&size[..], &["--pack", "5"]].concat()).is_err());
     }
 
     #[test]

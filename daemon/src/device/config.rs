@@ -1,7 +1,9 @@
 //! A rig's configuration: which devices, which patterns, when, and with what calibration.
 
+use super::dlpc350::Dlpc350Config;
+use super::gv3_usb::UsbTransportKind;
 use super::recorded::{RecordedConfig, stored_config};
-use super::{CameraSettings, DeviceError, SequenceTiming, TriggerSource};
+use super::{CameraSettings, DeviceError, SequenceTiming, TriggerConfig, TriggerSource, V4lConfig};
 use crate::device::sim::{SceneConfig, SimConfig};
 use crate::files::ProcessingConfig;
 use crate::light::{Calibration, Distortion, Intrinsics, LightError, Limits, PatternSequence, Rigid};
@@ -17,6 +19,13 @@ pub enum Backend {
     Simulated,
     /// A raw recording, as `[recorded]` names it.
     Recorded,
+    /// A projector that speaks the gv3 vendor protocol over USB.
+    #[serde(rename = "gv3_usb")]
+    Gv3Usb,
+    /// A camera behind Video4Linux, as `[camera.v4l]` names it.
+    V4l,
+    /// A TI LightCrafter 4500 projector, as `[projector.dlpc350]` names it.
+    Dlpc350,
 }
 
 /// The camera of a rig.
@@ -29,6 +38,9 @@ pub struct CameraConfig {
     pub width_px: u32,
     /// Rows.
     pub height_px: u32,
+    /// Which V4L2 camera, and how it is set up.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub v4l: Option<V4lConfig>,
 }
 
 /// The projector of a rig.
@@ -37,6 +49,52 @@ pub struct CameraConfig {
 pub struct ProjectorConfig {
     /// Kind of device.
     pub backend: Backend,
+    /// Who does the transfers of a USB projector; nusb when nothing is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub transport: Option<UsbTransportKind>,
+    /// Serial number of the USB projector meant, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial: Option<String>,
+    /// Where the USB projector meant is plugged in: bus and ports as in `3-1.2`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bus_path: Option<String>,
+    /// Which LightCrafter 4500, and how it is set up.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dlpc350: Option<Dlpc350Config>,
+}
+
+impl ProjectorConfig {
+    /// A projector that needs no more said.
+    pub fn of(backend: Backend) -> Self {
+        Self { backend, transport: None, serial: None, bus_path: None, dlpc350: None }
+    }
+
+    /// Whether it is a USB projector in this process.
+    pub fn is_simulated(&self) -> bool {
+        self.transport == Some(UsbTransportKind::Simulated)
+    }
+
+    /// The settings of a LightCrafter 4500.
+    ///
+    /// # Errors
+    /// [`DeviceError::Config`] when there are none.
+    pub fn dlpc350(&self) -> Result<&Dlpc350Config, DeviceError> {
+        self.dlpc350.as_ref().ok_or_else(|| DeviceError::config("projector.dlpc350", "missing for this backend"))
+    }
+
+    /// Only gv3 projectors have a transport, a serial number and a place; a LightCrafter has a table of its own.
+    fn validate(&self) -> Result<(), DeviceError> {
+        let fields = [
+            ("projector.transport", self.transport.is_some()),
+            ("projector.serial", self.serial.is_some()),
+            ("projector.bus_path", self.bus_path.is_some()),
+        ];
+        if let Some((field, _)) = fields.into_iter().find(|(_, is_given)| *is_given && self.backend != Backend::Gv3Usb)
+        {
+            return Err(DeviceError::config(field, "only for the backend \"gv3_usb\"; remove it"));
+        }
+        self.dlpc350.as_ref().map_or(Ok(()), Dlpc350Config::validate)
+    }
 }
 
 /// Everything about a rig, as in its TOML file.
@@ -48,10 +106,16 @@ pub struct RigConfig {
     /// Calibration file (TOML, JSON or OpenCV's YAML); a relative path starts at the rig's file. Either this or `calibration`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration_file: Option<PathBuf>,
+    /// How long a recording waits without a picture, say while a device is unplugged, before it ends; seconds.
+    #[serde(default = "default_silence_limit_seconds", skip_serializing_if = "is_default_silence_limit")]
+    pub silence_limit_seconds: u32,
     /// The camera.
     pub camera: CameraConfig,
     /// The projector.
     pub projector: ProjectorConfig,
+    /// The trigger controller, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trigger: Option<TriggerConfig>,
     /// When patterns are shown.
     pub timing: SequenceTiming,
     /// Limits for reconstruction.
@@ -73,6 +137,14 @@ pub struct RigConfig {
     pub calibration: Option<Calibration>,
 }
 
+fn default_silence_limit_seconds() -> u32 {
+    60
+}
+
+fn is_default_silence_limit(seconds: &u32) -> bool {
+    *seconds == default_silence_limit_seconds()
+}
+
 impl RigConfig {
     /// The built-in simulated scanner: 640x480 at 180 pictures/s, 30 scans/s, a talking head at 600 mm.
     pub fn simulated() -> Self {
@@ -81,9 +153,11 @@ impl RigConfig {
         Self {
             name: "simulated scanner".into(),
             calibration_file: None,
-            camera: CameraConfig { backend: Backend::Simulated, width_px: 640, height_px: 480 },
-            projector: ProjectorConfig { backend: Backend::Simulated },
+            camera: CameraConfig { backend: Backend::Simulated, width_px: 640, height_px: 480, v4l: None },
+            projector: ProjectorConfig::of(Backend::Simulated),
+            trigger: None,
             timing: SequenceTiming { picture_period_nanos: 5_555_556, exposure_nanos: 5_000_000 },
+            silence_limit_seconds: default_silence_limit_seconds(),
             limits: Limits::default(),
             processing: ProcessingConfig::default(),
             sim: SimConfig::default(),
@@ -172,7 +246,10 @@ impl RigConfig {
         self.sequence.validate()?;
         self.timing.validate()?;
         self.limits.validate()?;
+        self.projector.validate()?;
         self.sim.validate(self.sequence.patterns.len())?;
+        self.camera.v4l.as_ref().map_or(Ok(()), V4lConfig::validate)?;
+        self.trigger.as_ref().map_or(Ok(()), |trigger| trigger.validate(&self.timing))?;
         let calibration = self.calibration()?;
         let pairs = [
             ("camera.width_px", self.camera.width_px, calibration.camera.width_px),

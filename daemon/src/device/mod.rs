@@ -1,19 +1,33 @@
-//! Cameras and projectors behind blocking, object-safe traits; [`open`] is the only place that names concrete types.
+//! Cameras, projectors and trigger controllers behind blocking, object-safe traits; [`open`] is the only place that names concrete types.
 
 pub mod config;
+pub mod dlpc350;
+pub mod exposure;
 pub mod frame;
+pub mod gv3_usb;
+pub mod plugged;
+pub mod proven_camera;
 pub mod recorded;
+pub mod serial_trigger;
 pub mod sim;
+#[cfg(all(feature = "v4l", target_os = "linux"))]
+pub mod v4l_camera;
+mod v4l_config;
 
 use crate::light::{Calibration, LightError, Limits, PatternSequence, Processing};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 pub use config::{Backend, CameraConfig, ProjectorConfig, RigConfig};
+pub use exposure::{Exposure, ExposureFeed};
 pub use frame::{Frame, PatternIndex};
+pub use proven_camera::ProvenCamera;
 pub use recorded::{Pace, RecordedConfig};
+pub use serial_trigger::{TriggerBackend, TriggerConfig};
+pub use v4l_config::{ControlValue, ExposureControl, PixelFormat, TriggerControl, V4lConfig};
 
 /// Why a device did not do what was asked.
 #[derive(Debug, thiserror::Error)]
@@ -210,6 +224,59 @@ pub trait Projector: Send {
     /// # Errors
     /// [`DeviceError::Disconnected`] when the projector is gone.
     fn stop(&mut self) -> Result<(), DeviceError>;
+    /// What it reports while it plays: every exposure, or at least that it began anew; `None` when it never does by itself.
+    fn exposures(&self) -> Option<ExposureFeed> {
+        None
+    }
+}
+
+/// What a trigger controller is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TriggerInfo {
+    /// Model.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// Shortest time between two pulses, nanoseconds.
+    pub min_period_nanos: u64,
+}
+
+/// What a trigger controller reports.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TriggerEvent {
+    /// A pulse began.
+    Pulse {
+        /// Pulses before it since it was armed.
+        counter: u64,
+        /// When, on the controller's clock, nanoseconds.
+        time_nanos: u64,
+    },
+    /// A pulse came late or not at all.
+    Overrun {
+        /// Its number.
+        counter: u64,
+    },
+    /// The controller began anew; nothing is fired until it is armed again.
+    Restarted,
+}
+
+/// A trigger controller: it fires the pulses that projector and camera follow, and counts them.
+pub trait Trigger: Send {
+    /// What it is.
+    fn info(&self) -> TriggerInfo;
+    /// Fires pulses from number 0 on, at the timing that is returned, until [`Trigger::disarm`]. Camera and projector must
+    /// be ready before.
+    ///
+    /// # Errors
+    /// [`DeviceError::Config`] for a timing it cannot keep, [`DeviceError::Disconnected`] when it is gone.
+    fn arm(&mut self, timing: &SequenceTiming) -> Result<SequenceTiming, DeviceError>;
+    /// What happens from now on; ends the receiver of the call before. What a full receiver has no room for is lost.
+    fn events(&mut self) -> Receiver<TriggerEvent>;
+    /// Fires no more; returns how many pulses there were.
+    ///
+    /// # Errors
+    /// [`DeviceError::Disconnected`] when it is gone.
+    fn disarm(&mut self) -> Result<u64, DeviceError>;
 }
 
 /// The opened devices of a rig and what is needed to use them.
@@ -218,12 +285,16 @@ pub struct Rig {
     pub camera: Box<dyn Camera>,
     /// The projector.
     pub projector: Box<dyn Projector>,
+    /// The trigger controller, if there is one: armed when camera and projector are ready, disarmed before they are stopped.
+    pub trigger: Option<Box<dyn Trigger>>,
     /// Geometry.
     pub calibration: Calibration,
     /// Patterns of one scan.
     pub sequence: PatternSequence,
     /// When they are shown.
     pub timing: SequenceTiming,
+    /// How long a recording waits without a picture before it ends.
+    pub silence_limit: Duration,
     /// Limits for reconstruction.
     pub limits: Limits,
     /// Choices for reconstruction.
@@ -250,18 +321,64 @@ pub fn open(config: &RigConfig) -> Result<Rig, DeviceError> {
                 let camera = recorded::RecordedCamera::new(Arc::clone(&deck));
                 (Box::new(camera), Box::new(recorded::RecordedProjector::new(deck)))
             }
-            (Backend::Simulated, Backend::Recorded) | (Backend::Recorded, Backend::Simulated) => {
+            (Backend::Simulated, Backend::Gv3Usb) if config.projector.is_simulated() => {
+                let (camera, projector) = gv3_usb::open_simulated(config)?;
+                (Box::new(camera), Box::new(projector))
+            }
+            (Backend::Simulated, Backend::Gv3Usb) => {
+                let reason =
+                    "a simulated camera sees no real light; take a real camera, or the transport \"simulated\"";
+                return Err(DeviceError::config("camera.backend", reason));
+            }
+            (Backend::Simulated, Backend::Dlpc350) => {
+                let (camera, projector) = dlpc350::open_simulated(config, config.projector.dlpc350()?)?;
+                (Box::new(camera), Box::new(projector))
+            }
+            (Backend::V4l, Backend::Gv3Usb) => (open_v4l(config)?, Box::new(gv3_usb::open(&config.projector)?)),
+            (Backend::V4l, Backend::Dlpc350) => {
+                (open_v4l(config)?, Box::new(dlpc350::Dlpc350Projector::open(config.projector.dlpc350()?)?))
+            }
+            // A simulated projector lights nothing that a real camera sees; with it a camera can be tried alone.
+            (Backend::V4l, Backend::Simulated) => {
+                let world = Arc::new(Mutex::new(sim::SimWorld::new(config)?));
+                (open_v4l(config)?, Box::new(sim::SimProjector::new(world)))
+            }
+            (Backend::Gv3Usb, _) => return Err(DeviceError::config("camera.backend", "gv3_usb is a projector")),
+            (Backend::Dlpc350, _) => return Err(DeviceError::config("camera.backend", "dlpc350 is a projector")),
+            (_, Backend::V4l) => return Err(DeviceError::config("projector.backend", "v4l is no projector")),
+            (Backend::Recorded, _) | (_, Backend::Recorded) => {
                 let reason = "camera and projector must both be recorded, or neither";
                 return Err(DeviceError::config("projector.backend", reason));
             }
         };
+    let mut trigger = serial_trigger::open(config)?;
+    let reports = trigger.as_mut().map(|trigger| trigger.events());
+    let exposures = projector.exposures();
+    let camera = if config.camera.backend == Backend::V4l || reports.is_some() || exposures.is_some() {
+        let period_nanos = config.timing.picture_period_nanos;
+        Box::new(ProvenCamera::new(camera, reports, exposures, period_nanos, config.sequence.patterns.len()))
+    } else {
+        camera
+    };
     Ok(Rig {
         camera,
         projector,
+        trigger,
         calibration,
         sequence: config.sequence.clone(),
         timing: config.timing,
+        silence_limit: Duration::from_secs(config.silence_limit_seconds.into()),
         limits: config.limits,
         processing,
     })
+}
+
+#[cfg(all(feature = "v4l", target_os = "linux"))]
+fn open_v4l(config: &RigConfig) -> Result<Box<dyn Camera>, DeviceError> {
+    Ok(Box::new(v4l_camera::V4lCamera::open(config)?))
+}
+
+#[cfg(not(all(feature = "v4l", target_os = "linux")))]
+fn open_v4l(_config: &RigConfig) -> Result<Box<dyn Camera>, DeviceError> {
+    Err(DeviceError::config("camera.backend", "v4l is not part of this build; build for Linux with the feature v4l"))
 }

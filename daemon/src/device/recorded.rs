@@ -70,7 +70,8 @@ pub(super) fn stored_config(recorded: RecordedConfig) -> Result<RigConfig, Devic
     };
     let mut config: RigConfig = toml::from_str(reader.configuration()).map_err(unreadable)?;
     config.camera.backend = super::Backend::Recorded;
-    config.projector.backend = super::Backend::Recorded;
+    config.projector = super::ProjectorConfig::of(super::Backend::Recorded);
+    config.trigger = None;
     config.recorded = Some(recorded);
     config.validate()?;
     Ok(config)
@@ -87,6 +88,8 @@ pub struct Deck {
     timing: SequenceTiming,
     is_loaded: bool,
     is_playing: bool,
+    /// What was given last is that a device was gone; whoever plays again wants what came after.
+    is_interrupted: bool,
     /// Read, but not due yet.
     pending: Option<RawItem>,
     /// Host time and instant of what was given last.
@@ -118,6 +121,7 @@ impl Deck {
             timing: config.timing,
             is_loaded: false,
             is_playing: false,
+            is_interrupted: false,
             pending: None,
             last: None,
             pass_begin: None,
@@ -177,6 +181,8 @@ impl Deck {
     /// What is due: a frame, or the error that came in its place.
     fn take(&mut self, due: Option<Instant>) -> Result<Frame, DeviceError> {
         let at = due.unwrap_or_else(Instant::now);
+        let gone = |item: &RawItem| matches!(item, RawItem::Fault { code: FaultCode::Disconnected, .. });
+        self.is_interrupted = self.pending.as_ref().is_some_and(gone);
         match self.pending.take() {
             Some(RawItem::Picture(picture)) => {
                 self.last = Some((picture.stamp.host_time_nanos, at));
@@ -292,7 +298,7 @@ impl Camera for RecordedCamera {
     }
 }
 
-/// Projector of a recording: plays the recorded patterns from the beginning.
+/// Projector of a recording: plays the recorded patterns from the beginning, or from where a device was unplugged.
 pub struct RecordedProjector {
     deck: Arc<Mutex<Deck>>,
 }
@@ -337,7 +343,9 @@ impl Projector for RecordedProjector {
             let reason = format!("{} was recorded", deck.timing.picture_period_nanos);
             return Err(DeviceError::config("timing.picture_period_nanos", reason));
         }
-        deck.rewind();
+        if !std::mem::take(&mut deck.is_interrupted) {
+            deck.rewind();
+        }
         deck.is_playing = true;
         Ok(())
     }

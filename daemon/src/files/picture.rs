@@ -80,15 +80,28 @@ fn decode(decoder: impl ImageDecoder, path: &Path) -> Result<GreyPicture> {
 /// # Errors
 /// [`FileError`] naming `path` when the picture is empty or too large for the format.
 pub fn picture_bytes(picture: &GreyPicture, format: PictureFormat, path: &Path) -> Result<Vec<u8>> {
-    let mut bytes = Vec::with_capacity(picture.pixels.len() + 1078);
-    let (width_px, height_px) = (picture.width_px, picture.height_px);
+    encode(&picture.pixels, [picture.width_px, picture.height_px], ExtendedColorType::L8, format, path)
+}
+
+/// An image of 8-bit red, green and blue, row by row, as a file of `format`.
+///
+/// # Errors
+/// As [`picture_bytes`].
+pub fn rgb_bytes(rgb: &[u8], size_px: [u32; 2], format: PictureFormat, path: &Path) -> Result<Vec<u8>> {
+    encode(rgb, size_px, ExtendedColorType::Rgb8, format, path)
+}
+
+fn encode(
+    pixels: &[u8],
+    [width_px, height_px]: [u32; 2],
+    colour: ExtendedColorType,
+    format: PictureFormat,
+    path: &Path,
+) -> Result<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(pixels.len() + 1078);
     let written = match format {
-        PictureFormat::Bmp => {
-            BmpEncoder::new(&mut bytes).encode(&picture.pixels, width_px, height_px, ExtendedColorType::L8)
-        }
-        PictureFormat::Png => {
-            PngEncoder::new(&mut bytes).write_image(&picture.pixels, width_px, height_px, ExtendedColorType::L8)
-        }
+        PictureFormat::Bmp => BmpEncoder::new(&mut bytes).encode(pixels, width_px, height_px, colour),
+        PictureFormat::Png => PngEncoder::new(&mut bytes).write_image(pixels, width_px, height_px, colour),
     };
     written.map_err(|e| FileError::content(path, format!("a picture of {width_px} x {height_px}: {e}")))?;
     Ok(bytes)

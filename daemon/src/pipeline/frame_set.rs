@@ -103,6 +103,8 @@ pub struct FrameSetAssembler {
     /// By the last complete set; until there is one, by the last frame of pattern 0.
     base: Option<Base>,
     has_complete: bool,
+    /// Base by the last complete set before the devices began anew; ticks go on from it.
+    origin: Option<Base>,
     /// Base by a complete set that contradicts `base`.
     rival: Option<Base>,
     open: Option<OpenSet>,
@@ -122,6 +124,7 @@ impl FrameSetAssembler {
             period_nanos: i128::from(timing.picture_period_nanos.max(1)),
             base: None,
             has_complete: false,
+            origin: None,
             rival: None,
             open: None,
             run: Vec::new(),
@@ -166,6 +169,14 @@ impl FrameSetAssembler {
         if self.run.len() < self.pattern_count { None } else { self.complete(&base) }
     }
 
+    /// The devices begin anew: no set has frames of both sides of this, and ticks go on with the sensor's clock.
+    pub fn restart(&mut self) {
+        self.close();
+        self.origin = self.base.take().filter(|_| self.has_complete).or(self.origin);
+        (self.has_complete, self.rival, self.last_sequence) = (false, None, None);
+        self.run.clear();
+    }
+
     /// Ends the run: a set that is still open is dropped as lost.
     pub fn finish(&mut self) -> DropCounts {
         self.close();
@@ -176,7 +187,13 @@ impl FrameSetAssembler {
     fn base_of(&self, frame: &Frame) -> Base {
         let pattern = i128::from(frame.pattern.0);
         let start_nanos = i128::from(frame.device_time_nanos) - pattern * self.period_nanos;
-        let tick = u64::try_from(self.sets_in(start_nanos)).unwrap_or(0);
+        let tick = match &self.origin {
+            None => u64::try_from(self.sets_in(start_nanos)).unwrap_or(0),
+            Some(origin) => {
+                let first = self.open.map_or(0, |open| open.tick.saturating_add(u64::from(open.is_closed)));
+                tick_after(origin, self.sets_in(start_nanos - origin.start_nanos)).max(first)
+            }
+        };
         Base { tick, sequence: i128::from(frame.sequence) - pattern, start_nanos }
     }
 
@@ -189,10 +206,14 @@ impl FrameSetAssembler {
     /// Before the first complete set, every frame of pattern 0 may be its beginning.
     fn begin(&mut self, frame: &Frame) {
         let base = self.base_of(frame);
-        if self.open.is_some_and(|open| open.tick != base.tick) {
-            self.close();
+        if self.origin.is_some() && self.open.is_some_and(|open| base.tick > open.tick) {
+            self.advance(base.tick, None);
+        } else {
+            if self.open.is_some_and(|open| open.tick != base.tick) {
+                self.close();
+            }
+            self.open = Some(OpenSet { tick: base.tick, fault: None, is_closed: false });
         }
-        self.open = Some(OpenSet { tick: base.tick, fault: None, is_closed: false });
         self.base = Some(base);
     }
 
@@ -389,6 +410,22 @@ mod tests {
         let (sets, drops) = run((8..20).chain(38..60).map(frame));
         // Set 1 began before the run, 3 and 6 are torn, 4 and 5 never came.
         assert_eq!((ticks(&sets), drops.lost), (vec![2, 7, 8, 9], 5));
+    }
+
+    #[test]
+    fn devices_that_begin_anew_go_on_with_later_ticks_and_mix_nothing() {
+        let mut assembler = assembler();
+        let mut sets: Vec<FrameSet> = (0..16).filter_map(|k| assembler.push(frame(k))).collect();
+        // Numbers and patterns begin anew in the middle of set 2; the clock goes on and is off the old schedule.
+        for (run, (begin, off_nanos)) in [(16, PERIOD / 3), (47, 2 * PERIOD / 3), (63, 0)].into_iter().enumerate() {
+            assembler.restart();
+            let anew = |k| Frame { device_time_nanos: (begin + k) * PERIOD + off_nanos, ..frame(k) };
+            sets.extend((0..15).filter_map(|k| assembler.push(anew(k))));
+            assert_eq!(sets.len(), 4 + 2 * run);
+        }
+        assert_eq!(ticks(&sets), [0, 1, 3, 4, 8, 9, 11, 12]);
+        // 2, 5, 10 and 13 are torn, 6 and 7 never came.
+        assert_eq!((assembler.finish().lost, assembler.drops().sets()), (6, 6));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! From frames to scans to a session.
 
 pub mod board_views;
+mod capture;
 pub mod frame_set;
 pub mod raw;
 pub mod reconstruct;

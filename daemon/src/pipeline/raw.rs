@@ -1,6 +1,7 @@
 //! Raw recording beside whatever else is done with the pictures: a camera that passes on what it sees.
 
-use super::record::{CaptureItem, RecordError, capture};
+use super::capture::{CaptureItem, capture};
+use super::record::RecordError;
 use super::{DropCounts, FrameSet, FrameSetAssembler};
 use crate::device::{self, Camera, CameraInfo, CameraSettings, DeviceError, Frame, Rig, RigConfig};
 use gv3_protocol::raw::{FaultCode, RawError, RawStamp, RawWriter};
@@ -253,7 +254,8 @@ impl RawSets {
                     }
                 }
                 Err(DeviceError::Ended(_)) => return Ok(None),
-                Err(DeviceError::Timeout(_) | DeviceError::Disconnected(_) | DeviceError::Failed(_)) => {}
+                Err(DeviceError::Disconnected(_)) => self.assembler.restart(),
+                Err(DeviceError::Timeout(_) | DeviceError::Failed(_)) => {}
                 Err(error) => return Err(error),
             }
         }

@@ -1,6 +1,7 @@
 //! A recording: capture, reconstruct, encode and write, each in a named thread, joined by bounded queues.
 
-use super::{DropCounts, FrameSet, FrameSetAssembler, Reconstruction, Reconstructor};
+use super::capture::capture;
+use super::{DropCounts, FrameSet, Reconstruction, Reconstructor};
 use crate::device::{DeviceError, Rig};
 use crate::light::{DepthRange, LightError, RejectedPixels};
 use gv3_codec::{CodecError, EncodedGroup, Encoder, EncoderConfig, Scan};
@@ -16,12 +17,6 @@ use tracing::{info, warn};
 
 /// Items a queue between two stages holds: enough to ride out a keyframe, few enough to bound memory.
 const QUEUE: usize = 4;
-
-/// How long the camera may be silent before a timeout is counted.
-const PICTURE_DEADLINE: Duration = Duration::from_secs(2);
-
-/// Timeouts in a row after which the recording ends.
-const MOST_TIMEOUTS: u32 = 5;
 
 /// Why a recording ended early. What was complete before is in the file.
 #[derive(Debug, thiserror::Error)]
@@ -95,16 +90,6 @@ pub(super) enum Item<T> {
     Event(Event),
 }
 
-/// What capture sends: frame sets, and what happened between them.
-pub(super) type CaptureItem = Item<FrameSet>;
-
-impl CaptureItem {
-    /// Whether it is a frame set.
-    pub(super) fn is_set(&self) -> bool {
-        matches!(self, Self::Work(_))
-    }
-}
-
 /// Records until the wanted length, the stop flag, or an error; the session is finished in every case where the file can
 /// still be written.
 ///
@@ -171,116 +156,8 @@ fn stopping<T>(stop: &AtomicBool, work: impl FnOnce() -> Result<T, RecordError>)
     work().inspect_err(|_| stop.store(true, Ordering::Relaxed))
 }
 
-pub(super) fn capture(
-    mut rig: Rig,
-    periods: Option<u64>,
-    stop: &AtomicBool,
-    out: &Sender<Item<FrameSet>>,
-) -> Result<(DropCounts, u64), RecordError> {
-    let settings = crate::device::CameraSettings {
-        width_px: rig.calibration.camera.width_px,
-        height_px: rig.calibration.camera.height_px,
-        exposure_nanos: rig.timing.exposure_nanos,
-        trigger: crate::device::TriggerSource::Projector,
-    };
-    rig.camera.configure(&settings)?;
-    rig.projector.load(&rig.sequence)?;
-    rig.camera.start()?;
-    rig.projector.play(&rig.timing)?;
-    let collected = collect(&mut rig, periods, stop, out);
-    // Both are told to stop even if one fails; the first error counts.
-    let stopped = rig.projector.stop().and(rig.camera.stop());
-    let collected = collected?;
-    stopped?;
-    Ok(collected)
-}
-
-/// Frames to frame sets until the end of the run.
-fn collect(
-    rig: &mut Rig,
-    periods: Option<u64>,
-    stop: &AtomicBool,
-    out: &Sender<Item<FrameSet>>,
-) -> Result<(DropCounts, u64), RecordError> {
-    let set_nanos = rig.timing.set_period_nanos(rig.sequence.patterns.len());
-    let mut assembler = FrameSetAssembler::new(&rig.sequence, &rig.timing);
-    let (mut frame_bytes, mut timeouts, mut start_nanos, mut last_tick) = (0, 0, None, None);
-    let is_over = |nanos: u64| {
-        periods.is_some_and(|p| nanos + rig.timing.picture_period_nanos / 2 >= p.saturating_mul(set_nanos))
-    };
-    while !stop.load(Ordering::Relaxed) {
-        let frame = match rig.camera.next_frame(Instant::now() + PICTURE_DEADLINE) {
-            Ok(frame) => frame,
-            Err(error @ DeviceError::Timeout(_)) => {
-                timeouts += 1;
-                warn!(%error, timeouts, "no picture");
-                if timeouts >= MOST_TIMEOUTS {
-                    return Err(error.into());
-                }
-                continue;
-            }
-            Err(DeviceError::Ended(device)) => {
-                info!(device, "end of the pictures");
-                break;
-            }
-            Err(error) => return Err(error.into()),
-        };
-        timeouts = 0;
-        let time_nanos = frame.device_time_nanos;
-        let elapsed = time_nanos.saturating_sub(*start_nanos.get_or_insert(time_nanos));
-        if is_over(elapsed) {
-            break;
-        }
-        frame_bytes += frame.picture.pixels.len() as u64;
-        let before = assembler.drops();
-        let set = assembler.push(frame);
-        let tick = assembler.last_dropped_tick().unwrap_or(elapsed / set_nanos);
-        for event in drop_events(&before, &assembler.drops(), time_nanos, tick) {
-            send(out, Item::Event(event))?;
-        }
-        if let Some(set) = set {
-            if let Some(gap) = gap_event(last_tick, &set) {
-                send(out, Item::Event(gap))?;
-            }
-            last_tick = Some(set.tick);
-            send(out, Item::Work(set))?;
-        }
-        // Without waiting for a picture that is not wanted.
-        if is_over(elapsed.saturating_add(rig.timing.picture_period_nanos)) {
-            break;
-        }
-    }
-    Ok((assembler.finish(), frame_bytes))
-}
-
-fn send<T>(out: &Sender<T>, item: T) -> Result<(), RecordError> {
+pub(super) fn send<T>(out: &Sender<T>, item: T) -> Result<(), RecordError> {
     out.blocking_send(item).map_err(|_| RecordError::Stage("downstream"))
-}
-
-/// One event for every cause whose count grew.
-fn drop_events(before: &DropCounts, after: &DropCounts, time_nanos: u64, tick: u64) -> Vec<Event> {
-    let causes = [
-        ("picture_lost", before.lost, after.lost),
-        ("picture_doubled", before.doubled, after.doubled),
-        ("picture_late", before.late, after.late),
-        ("picture_disordered", before.disordered, after.disordered),
-        ("picture_stray", before.stray_frames, after.stray_frames),
-    ];
-    causes
-        .iter()
-        .filter(|(_, before, after)| after > before)
-        .map(|(cause, before, after)| {
-            warn!(cause, count = after - before, tick, "dropped");
-            let kind = EventKind::Drop { cause: (*cause).into(), count: after - before };
-            Event { time_nanos, tick, kind }
-        })
-        .collect()
-}
-
-fn gap_event(last_tick: Option<u64>, set: &FrameSet) -> Option<Event> {
-    let first_missing = last_tick? + 1;
-    let ticks = set.tick.checked_sub(first_missing).filter(|&n| n > 0)?;
-    Some(Event { time_nanos: set.time_nanos, tick: first_missing, kind: EventKind::Gap { ticks } })
 }
 
 /// Says of a scan without a surface what rejected most of its pixels: `empty_scan_low_modulation` when all was dark.

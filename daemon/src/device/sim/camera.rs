@@ -55,7 +55,7 @@ impl Camera for SimCamera {
             return Err(DeviceError::State("the camera is started before it is configured"));
         }
         self.is_running = true;
-        self.world.lock().unwrap_or_else(PoisonError::into_inner).is_unplugged = false;
+        self.world.lock().unwrap_or_else(PoisonError::into_inner).plug_in();
         Ok(())
     }
 

@@ -6,6 +6,11 @@
 mod board;
 mod camera;
 mod face;
+mod follow;
+mod gv3_descriptors;
+mod gv3_device;
+#[cfg(test)]
+mod gv3_device_tests;
 mod lens;
 mod motion;
 mod noise;
@@ -32,6 +37,7 @@ use std::collections::VecDeque;
 
 pub use board::BoardScene;
 pub use camera::SimCamera;
+pub use gv3_device::{Gv3Device, Light, Stall, StoredPattern};
 pub use projector::SimProjector;
 pub use scene::{Placement, SceneConfig};
 pub use sequence::SequenceScene;
@@ -50,7 +56,7 @@ pub enum FaultKind {
     Saturated,
     /// Its transfer stalls: the camera times out once, and then delivers it.
     Stalled,
-    /// The camera is unplugged when it should deliver it, and is gone until it is started again.
+    /// The camera is unplugged, once, when it should deliver it, and is gone until it is started again: a second later.
     Unplugged,
 }
 
@@ -240,6 +246,8 @@ pub struct SimWorld {
     projector_size_px: [u32; 2],
     patterns: Vec<ShownPattern>,
     shown: Shown,
+    /// What the device last followed shows, with the number of its patterns.
+    followed: (u64, Light),
     clock_nanos: u64,
     triggers: u64,
     /// Doubled and stalled frames still to be delivered.
@@ -279,6 +287,7 @@ impl SimWorld {
             projector_size_px: [calibration.projector.width_px, calibration.projector.height_px],
             patterns: Vec::new(),
             shown: Shown::Dark,
+            followed: (0, Light::Dark),
             clock_nanos: 0,
             triggers: 0,
             repeats: VecDeque::new(),
@@ -381,7 +390,19 @@ impl SimWorld {
     }
 
     fn fault_of(&self, trigger: u64) -> Option<FaultKind> {
-        let count = self.patterns.len() as u64;
+        self.fault_at(trigger, self.patterns.len() as u16)
+    }
+
+    /// The camera's cable is put back, after the second that this takes.
+    fn plug_in(&mut self) {
+        if std::mem::take(&mut self.is_unplugged) {
+            self.clock_nanos += 1_000_000_000;
+        }
+    }
+
+    /// What goes wrong with a picture of a run, in sets of `count` above 0.
+    pub(crate) fn fault_at(&self, trigger: u64, count: u16) -> Option<FaultKind> {
+        let count = u64::from(count);
         let hit = |f: &&Fault| f.set == trigger / count && u64::from(f.picture) == trigger % count;
         self.config.faults.iter().find(hit).map(|f| f.kind)
     }
@@ -405,6 +426,10 @@ impl SimWorld {
         self.triggers = sequence + 1;
         let fault = self.fault_of(sequence);
         if fault == Some(FaultKind::Unplugged) {
+            let count = self.patterns.len() as u64;
+            // A cable that is back in its place stays there.
+            let is_pulled = |f: &Fault| [f.set, f.picture.into()] == [sequence / count, sequence % count];
+            self.config.faults.retain(|f| f.kind != FaultKind::Unplugged || !is_pulled(f));
             self.is_unplugged = true;
             return Err(DeviceError::Disconnected("the simulated camera".into()));
         }

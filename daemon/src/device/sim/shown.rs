@@ -20,14 +20,19 @@ impl ShownPattern {
     ///
     /// The blur lowers the modulation of period p by exp(-2 pi^2 sigma^2 / p^2), the Gaussian's Fourier transform.
     pub fn new(pattern: &Pattern, length_px: u32, gamma: f32, sigma_px: f32) -> Self {
+        Self::of_levels(&pattern.levels(length_px), pattern.direction, gamma, sigma_px)
+    }
+
+    /// The same of a pattern's 8-bit levels along its direction.
+    pub fn of_levels(levels: &[u8], direction: Direction, gamma: f32, sigma_px: f32) -> Self {
         let response =
             |v: u8| if gamma == 1.0 { f32::from(v) } else { 255.0 * libm::powf(f32::from(v) / 255.0, gamma) };
         let level = |v: u8| BLACK_LEVEL + (1.0 - BLACK_LEVEL) * response(v) / 255.0;
-        let sharp: Vec<f32> = pattern.levels(length_px).into_iter().map(level).collect();
+        let sharp: Vec<f32> = levels.iter().copied().map(level).collect();
         let mut levels = if sigma_px > 0.0 { blurred(&sharp, sigma_px) } else { sharp };
         // A projector of one pixel still has a pair to look up.
         levels.resize(levels.len().max(2), levels.last().copied().unwrap_or(BLACK_LEVEL));
-        Self { levels, direction: pattern.direction }
+        Self { levels, direction }
     }
 
     /// Light at a coordinate along the pattern's direction, pixels; beyond the ends it is that of the last pixel.
