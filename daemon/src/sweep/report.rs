@@ -116,7 +116,7 @@ scan_to_replay_rms_mm,scan_to_replay_p95_mm,scan_to_replay_p99_mm,scan_to_replay
 replay_to_scan_p95_mm,replay_to_scan_p99_mm,replay_to_scan_max_mm,d1_psnr_db,d2_psnr_db,normal_rms_deg,missing,invented,\
 encode_ms_per_scan,decode_ms_per_scan";
 
-/// A line a point under [`CSV_HEADER`].
+/// A line a point under `CSV_HEADER`.
 pub fn csv(report: &SweepReport) -> String {
     let mut text = format!("{CSV_HEADER}\n");
     let optional = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:.3}"));
