@@ -363,8 +363,9 @@ mod tests {
         check_pictures(&sets);
         assert!(sets.len() >= 21, "{}", sets.len());
         let faults = told_faults(&events);
-        assert!((3..=12).contains(&faults.len()), "{faults:?}");
-        // Time stands while no picture is taken, so only torn sets are missing.
-        assert!((1..=12).contains(&drops.sets()), "{drops:?}");
+        // The pause of 300 ms cannot go unnoticed.
+        assert!((1..=12).contains(&faults.len()), "{faults:?}");
+        // Time stands while no picture is taken: only torn sets are missing, and a cable pulled between two sets tears none.
+        assert!(drops.sets() <= 12, "{drops:?}");
     }
 }
