@@ -1,7 +1,7 @@
 //! Coded textures of the size and content of a face scan: 337x438 px, an ellipse of speckled skin under moving light.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use gv3_codec::texture::coded::{Models, Options, Planes, Source, decode, encode};
+use gv3_codec::texture::coded::{Models, Offsets, Options, Planes, Source, decode, encode};
 use std::hint::black_box;
 
 const SIZE: [usize; 2] = [337, 438];
@@ -31,9 +31,8 @@ fn pictures(c: &mut Criterion) {
     c.bench_function("texture: decode a first picture", |b| {
         b.iter(|| decode(black_box(&first_bytes), (1, SIZE), &first_mask, &[], &mut Models::default()));
     });
-    let place = |i: usize| [(i % width) as i32 * 256 - 3 * 256 + 90, (i / width) as i32 * 256 - 40];
-    let places: Vec<_> = (0..width * height).map(place).collect();
-    let source = Source { planes: &decoded.planes, places: &places, weight: 256 };
+    let offsets = Offsets::even(width, height, [90 - 3 * 256, -40]);
+    let source = Source { planes: &decoded.planes, offsets: &offsets, weight: 256 };
     c.bench_function("texture: encode a predicted picture", |b| {
         b.iter(|| encode(black_box(&second), &mask, &[source], &mut Models::default(), &options));
     });

@@ -121,8 +121,12 @@ pub fn coded_texture(bytes: &[u8]) {
     let mask: Vec<bool> = (0..SIZE[0] * SIZE[1]).map(|i| (pixel(i)[0] + 2 * pixel(i)[1]) % 17 != 0).collect();
     let levels = vec![(0..mask.len()).map(|i| (i * 37 % 4081) as i16).collect(); planes];
     let picture = Planes { width: SIZE[0], height: SIZE[1], levels };
-    let maps = [300, -90].map(|d| (0..mask.len()).map(|i| pixel(i).map(|v| v as i32 * 250 + d)).collect::<Vec<_>>());
-    let all = [0, 1].map(|k| Source { planes: &picture, places: &maps[k], weight: 100 + 56 * k as u16 });
+    let maps = [300, -90].map(|d| {
+        let mut offsets = Offsets::even(SIZE[0], SIZE[1], [d; 2]);
+        offsets.blocks.iter_mut().zip(0..).for_each(|(o, i)| *o = o.map(|v| v - 25 * i));
+        offsets
+    });
+    let all = [0, 1].map(|k| Source { planes: &picture, offsets: &maps[k], weight: 100 + 56 * k as u16 });
     if let Ok(decoded) = coded::decode(bytes, (planes, SIZE), &mask, &all[..sources], &mut Models::default()) {
         assert!(decoded.planes.levels.iter().flatten().all(|v| (0..=255 * 16).contains(v)));
     }

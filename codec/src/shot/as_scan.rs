@@ -1,6 +1,6 @@
 //! A decoded scan as a mesh on its camera's pixels: each scan as it was seen.
 
-use super::carry::nearest_drawn;
+use super::carry::nearest_known;
 use super::model::Model;
 use super::raster::NOTHING;
 use super::seen_scan::SeenScan;
@@ -46,7 +46,7 @@ pub fn as_scan(model: &Model, scan: &SeenScan) -> TriMesh {
 /// As [`as_scan`], its surface moved by what each vertex of the model moves, mm.
 pub fn as_scan_at(model: &Model, scan: &SeenScan, by_mm: &[Vec3]) -> TriMesh {
     let mut mesh = as_scan(model, scan);
-    let nearest = nearest_drawn(&scan.drawn.picture.depth, scan.window.width);
+    let nearest = nearest_known(&scan.drawn.picture.depth, |d| *d != NOTHING, scan.window.width);
     let pixels = (0..scan.mask.len()).filter(|i| scan.mask[*i]);
     for (p, i) in mesh.positions_mm.iter_mut().zip(pixels) {
         let j = nearest[i] as usize;

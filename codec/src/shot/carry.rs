@@ -1,167 +1,118 @@
-//! Where each pixel of a drawn surface lies in the pictures of scans that are decoded already.
+//! Where the blocks of a drawn surface lie in the pictures of scans that are decoded already.
 //!
-//! A triangle carries its pixels along; beside the surface the nearest pixel's motion and depth go on.
+//! A block goes along with the point of the surface that one of its pixels shows; beside the surface the nearest block's
+//! motion and the nearest pixel's depth go on.
 
 use super::bisection::Connectivity;
 use super::raster::{DepthPicture, NOTHING};
 use super::reciprocal::Reciprocal;
 use super::view::{PX_BITS, Seen};
+use crate::texture::coded::{BLOCK, NOWHERE, Offsets};
 
-/// Fraction bits of a gradient.
-const GRADIENT_BITS: u32 = 16;
-/// Steepest gradient: slivers have steeper ones, whose products with a triangle's extent would overflow.
-const MAX_GRADIENT: i64 = 1 << 40;
-/// Position of a pixel that no surface carries.
-pub const NOWHERE: [i32; 2] = [i32::MIN; 2];
+/// Farthest offset, 1/256 px.
+const MAX_OFFSET: i64 = 1 << 28;
+/// Pixels of a block in the order in which they speak for it: those in the middle first.
+const ORDER: [[usize; 2]; BLOCK * BLOCK] = [
+    [1, 1], [2, 1], [1, 2], [2, 2], [1, 0], [2, 0], [0, 1], [3, 1], [0, 2], [3, 2], [1, 3], [2, 3], [0, 0], [3, 0], [0, 3], [3, 3],
+];
 
-/// Depth of the model at each pixel and places in reference pictures, beside the surface as at the nearest pixel on it.
+/// Depth of the model at each pixel and offsets to reference pictures, beside the surface as at the nearest one on it.
 #[derive(Debug, Clone)]
 pub struct Carried {
     /// Depth in units; [`NOTHING`] everywhere when nothing was drawn.
     pub depth: Vec<i32>,
-    /// For each reference the position of each pixel in it, 1/256 px; [`NOWHERE`] when nothing was drawn.
-    pub places: Vec<Vec<[i32; 2]>>,
+    /// To each reference; [`NOWHERE`] when nothing was drawn.
+    pub offsets: Vec<Offsets>,
 }
 
 /// Carries the pixels of `picture`, drawn from `seen`, into references that saw the same vertices at `references`.
 pub fn carry(picture: &DepthPicture, seen: &[Seen], connectivity: &Connectivity, references: &[&[Seen]]) -> Carried {
-    let depth = picture.depth.clone();
-    if depth.iter().all(|d| *d == NOTHING) {
-        return Carried { places: vec![vec![NOWHERE; depth.len()]; references.len()], depth };
-    }
-    let mut carried = Carried { places: vec![vec![[0; 2]; depth.len()]; references.len()], depth };
-    if !references.is_empty() {
-        carry_drawn(picture, seen, connectivity, references, &mut carried.places);
-    }
-    continue_beside(&mut carried, picture.width);
-    carried
+    Carried { depth: continued_depth(picture), offsets: offsets(picture, seen, connectivity, references) }
 }
 
-/// The pixels on the surface. A triangle's maps are costly and its pixels few: triangle by triangle, not pixel by pixel.
-fn carry_drawn(
+/// Depth of a picture, beside the surface that of the nearest pixel on it.
+pub fn continued_depth(picture: &DepthPicture) -> Vec<i32> {
+    let nearest = nearest_known(&picture.depth, |d| *d != NOTHING, picture.width);
+    nearest.into_iter().map(|j| picture.depth[j as usize]).collect()
+}
+
+/// Offsets of a picture's blocks to each reference.
+pub fn offsets(
     picture: &DepthPicture,
     seen: &[Seen],
     connectivity: &Connectivity,
     references: &[&[Seen]],
-    places: &mut [Vec<[i32; 2]>],
-) {
-    let mut maps = vec![Affine::default(); references.len()];
-    // Only triangles that were drawn: their extents are bounded.
-    let drawn = picture.triangle.iter().max().map_or(0, |last| *last as usize + 1);
-    for (index, corners) in connectivity.triangles.iter().enumerate().take(drawn) {
-        let here = corners.map(|v| seen[v as usize]);
-        let [e1, e2] = edges(here);
-        if e1[0] * e2[1] >= e1[1] * e2[0] {
-            continue;
-        }
-        let Some([columns, rows]) = picture.around(here) else { continue };
-        let mut is_mapped = false;
-        for y in rows {
-            for x in columns.clone() {
-                let i = y as usize * picture.width + x as usize;
-                if picture.triangle[i] != index as u32 || picture.depth[i] == NOTHING {
-                    continue;
-                }
-                if !is_mapped {
-                    is_mapped = true;
-                    let frame = Frame::new(here);
-                    for (map, reference) in maps.iter_mut().zip(references) {
-                        *map = frame.to(corners.map(|v| reference[v as usize]));
-                    }
-                }
-                for (places, map) in places.iter_mut().zip(&maps) {
-                    places[i] = map.apply([x << PX_BITS, y << PX_BITS]);
-                }
-            }
-        }
-    }
-}
-
-/// A triangle's edges from its first corner, ready to be mapped.
-struct Frame {
-    origin: [i32; 2],
-    edges: [[i64; 2]; 2],
-    /// By the magnitude of the edges' determinant, and its sign; none for a triangle without area.
-    by: Option<(Reciprocal, i64)>,
-}
-
-impl Frame {
-    fn new(here: [Seen; 3]) -> Self {
-        let [e1, e2] = edges(here);
-        let determinant = e1[0] * e2[1] - e1[1] * e2[0];
-        let by = (determinant != 0).then(|| (Reciprocal::new(determinant.abs()), determinant.signum()));
-        Self { origin: [here[0].x, here[0].y], edges: [e1, e2], by }
-    }
-
-    /// The map that takes the corners to `there`.
-    fn to(&self, there: [Seen; 3]) -> Affine {
-        let ([e1, e2], [d1, d2]) = (self.edges, edges(there));
-        let gradient = [0, 1].map(|k| {
-            let along = [d1[k] * e2[1] - d2[k] * e1[1], d2[k] * e1[0] - d1[k] * e2[0]];
-            let slope = |n: i64| self.by.map_or(0, |(by, sign)| sign * by.truncated(n << GRADIENT_BITS));
-            along.map(|n| slope(n).clamp(-MAX_GRADIENT, MAX_GRADIENT))
-        });
-        Affine { from: self.origin, to: [there[0].x, there[0].y], gradient }
-    }
-}
-
-/// Both edges from a triangle's first corner.
-fn edges([a, b, c]: [Seen; 3]) -> [[i64; 2]; 2] {
-    [b, c].map(|s| [i64::from(s.x) - i64::from(a.x), i64::from(s.y) - i64::from(a.y)])
-}
-
-/// The affine map that takes a triangle's corners to where a reference sees them.
-#[derive(Debug, Clone, Copy, Default)]
-struct Affine {
-    from: [i32; 2],
-    to: [i32; 2],
-    /// Change of each coordinate along x and along y, times 2^16.
-    gradient: [[i64; 2]; 2],
-}
-
-impl Affine {
-    fn apply(&self, p: [i32; 2]) -> [i32; 2] {
-        let d = [i64::from(p[0]) - i64::from(self.from[0]), i64::from(p[1]) - i64::from(self.from[1])];
-        let along = |k: usize| {
-            // Maps of slivers may wrap around: they are cut off below.
-            let [gx, gy] = self.gradient[k];
-            let moved = gx.wrapping_mul(d[0]).wrapping_add(gy.wrapping_mul(d[1])) >> GRADIENT_BITS;
-            i64::from(self.to[k]).wrapping_add(moved).clamp(-(1 << 28), 1 << 28) as i32
+) -> Vec<Offsets> {
+    let mut offsets = vec![Offsets::even(picture.width, picture.height, NOWHERE); references.len()];
+    let Some(first) = offsets.first() else { return offsets };
+    let (columns, count) = (first.columns, first.blocks.len());
+    for block in 0..count {
+        let [x0, y0] = [block % columns * BLOCK, block / columns * BLOCK];
+        let is_drawn = |[x, y]: &[usize; 2]| {
+            *x < picture.width && *y < picture.height && picture.depth[y * picture.width + x] != NOTHING
         };
-        [along(0), along(1)]
-    }
-}
-
-/// Each pixel beside the surface takes over from its nearest one on it.
-fn continue_beside(carried: &mut Carried, width: usize) {
-    let nearest = nearest_drawn(&carried.depth, width);
-    for (y, row) in nearest.chunks_exact(width).enumerate() {
-        for (x, &j) in row.iter().enumerate() {
-            let (i, j) = (y * width + x, j as usize);
-            if i == j {
-                continue;
-            }
-            carried.depth[i] = carried.depth[j];
-            let offset = [x as i32 - (j % width) as i32, y as i32 - (j / width) as i32];
-            for places in &mut carried.places {
-                let [x, y] = places[j];
-                places[i] = [x + (offset[0] << PX_BITS), y + (offset[1] << PX_BITS)];
-            }
+        let Some([x, y]) = ORDER.iter().map(|[x, y]| [x0 + x, y0 + y]).find(is_drawn) else { continue };
+        let corners = connectivity.triangles[picture.triangle[y * picture.width + x] as usize];
+        let point = Point::new(corners.map(|v| seen[v as usize]), [x, y].map(|v| (v as i32) << PX_BITS));
+        for (offsets, reference) in offsets.iter_mut().zip(references) {
+            offsets.blocks[block] = point.offset_to(corners.map(|v| reference[v as usize]));
         }
     }
+    let nearest = nearest_known(&offsets[0].blocks, |o| *o != NOWHERE, columns);
+    for offsets in &mut offsets {
+        for (block, j) in nearest.iter().enumerate() {
+            offsets.blocks[block] = offsets.blocks[*j as usize];
+        }
+    }
+    offsets
 }
 
-/// For each pixel the index of the one nearest to it, in city-block steps, whose depth is known; itself where there is
+/// A point of a triangle, ready to be found again.
+struct Point {
+    corners: [Seen; 3],
+    /// Areas that belong to the second and third corner; the whole one.
+    areas: [i64; 2],
+    by: Option<Reciprocal>,
+}
+
+impl Point {
+    /// The point seen at `at` (1/256 px) in a front-facing triangle.
+    fn new(corners: [Seen; 3], at: [i32; 2]) -> Self {
+        let [a, b, c] = corners;
+        let from = |s: [i32; 2]| [i64::from(s[0]) - i64::from(a.x), i64::from(s[1]) - i64::from(a.y)];
+        let (p, e1, e2) = (from(at), from([b.x, b.y]), from([c.x, c.y]));
+        let cross = |u: [i64; 2], v: [i64; 2]| u[1] * v[0] - u[0] * v[1];
+        let whole = cross(e1, e2);
+        Self { corners, areas: [cross(p, e2), cross(e1, p)], by: (whole > 0).then(|| Reciprocal::new(whole)) }
+    }
+
+    /// How far the point lies from here where a reference sees the corners `there`.
+    fn offset_to(&self, there: [Seen; 3]) -> [i32; 2] {
+        let moved = |k: usize| {
+            let of = |i: usize| {
+                let (from, to) = (self.corners[i], there[i]);
+                if k == 0 { i64::from(to.x) - i64::from(from.x) } else { i64::from(to.y) - i64::from(from.y) }
+            };
+            // Corners that are out of sight may wrap around: offsets are cut off below.
+            let [second, third] = [1, 2].map(|i| self.areas[i - 1].wrapping_mul(of(i) - of(0)));
+            let more = self.by.map_or(0, |by| by.floor(second.wrapping_add(third)));
+            of(0).saturating_add(more).clamp(-MAX_OFFSET, MAX_OFFSET) as i32
+        };
+        [moved(0), moved(1)]
+    }
+}
+
+/// For each element of a grid the index of the one nearest to it, in city-block steps, that is known; itself where there is
 /// none. Two passes of a distance transform (Rosenfeld, Pfaltz: Sequential operations in digital picture processing, 1966).
-pub fn nearest_drawn(depth: &[i32], width: usize) -> Vec<u32> {
-    let mut steps: Vec<u32> = depth.iter().map(|d| if *d == NOTHING { u32::MAX - 1 } else { 0 }).collect();
-    let mut nearest: Vec<u32> = (0..depth.len() as u32).collect();
+pub fn nearest_known<T>(values: &[T], is_known: impl Fn(&T) -> bool, width: usize) -> Vec<u32> {
+    let mut steps: Vec<u32> = values.iter().map(|v| if is_known(v) { 0 } else { u32::MAX - 1 }).collect();
+    let mut nearest: Vec<u32> = (0..values.len() as u32).collect();
     let mut take = |i: usize, j: usize| {
         if steps[i] > 0 && steps[j] + 1 < steps[i] {
             (steps[i], nearest[i]) = (steps[j] + 1, nearest[j]);
         }
     };
-    let height = depth.len() / width.max(1);
+    let height = values.len() / width.max(1);
     for y in 0..height {
         for x in 0..width {
             let i = y * width + x;
@@ -211,14 +162,17 @@ mod tests {
         let picture = drawn(&seen, &connectivity);
         let moved: Vec<Seen> = seen.iter().map(|s| Seen { x: s.x + s.y / 2 + 300, y: s.y - 77, ..*s }).collect();
         let carried = carry(&picture, &seen, &connectivity, &[&seen, &moved]);
-        for i in 0..picture.depth.len() {
-            let (x, y) = (((i % 20) as i32) << 8, ((i / 20) as i32) << 8);
-            assert_eq!(carried.places[0][i], [x, y]);
-            if picture.depth[i] != NOTHING {
-                let [a, b] = carried.places[1][i];
-                assert!((a - (x + y / 2 + 300)).abs() <= 1 && (b - (y - 77)).abs() <= 1);
-                assert_eq!(carried.depth[i], picture.depth[i]);
-            }
+        assert!(carried.offsets[0].blocks.iter().all(|o| *o == [0; 2]));
+        // Of the block's second pixel in both directions, where it is on the surface.
+        for [bx, by] in [[1, 1], [0, 2], [2, 1]] {
+            let y = (by * BLOCK + 1) as i32 * 256;
+            let [dx, dy] = carried.offsets[1].at(bx * BLOCK, by * BLOCK);
+            assert!((dx - (y / 2 + 300)).abs() <= 1 && (dy + 77).abs() <= 1, "{bx} {by}: {dx} {dy}");
+        }
+        // Beside the surface the motion of the nearest block.
+        assert_eq!(carried.offsets[1].at(17, 5), carried.offsets[1].at(12, 5));
+        for (depth, drawn) in carried.depth.iter().zip(&picture.depth).filter(|(_, d)| **d != NOTHING) {
+            assert_eq!(depth, drawn);
         }
         // Beside the surface the depth of the nearest pixel.
         assert_eq!(carried.depth[5 * 20 + 18], picture.depth[5 * 20 + 11]);
@@ -234,13 +188,13 @@ mod tests {
         assert_eq!(picture.depth[2 * 20 + 3], 5);
         let away = [Seen::NOWHERE, at(-(1 << 24), 1 << 24), at(1 << 24, 0)];
         let carried = carry(&picture, &seen, &connectivity, &[&away]);
-        assert!(carried.places[0].iter().flatten().all(|v| v.abs() <= (1 << 28) + (20 << 8)));
+        assert!(carried.offsets[0].blocks.iter().flatten().all(|v| v.abs() <= 1 << 28));
     }
 
     #[test]
     fn an_empty_picture_carries_nothing() {
         let (seen, connectivity) = two_triangles();
         let carried = carry(&DepthPicture::new(4, 3), &seen, &connectivity, &[&seen]);
-        assert!(carried.depth.iter().all(|d| *d == NOTHING) && carried.places[0].iter().all(|p| *p == NOWHERE));
+        assert!(carried.depth.iter().all(|d| *d == NOTHING) && carried.offsets[0].blocks.iter().all(|o| *o == NOWHERE));
     }
 }

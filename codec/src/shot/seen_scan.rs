@@ -1,11 +1,12 @@
 //! A decoded scan, as later scans are predicted from it.
 
-use super::carry::{Carried, carry};
+use super::carry::{Carried, carry, continued_depth};
 use super::mask::{CERTAIN, Expectation};
 use super::model::{Drawn, Model, Window};
 use super::motion::Motion;
 use super::raster::NOTHING;
 use super::view::PX_BITS;
+use crate::texture::coded::{BLOCK, NOWHERE, Offsets};
 
 /// Farthest depth, units.
 const MAX_DEPTH: i32 = 1 << 25;
@@ -36,8 +37,7 @@ impl SeenScan {
     /// The same scan against another model that is where `motion` takes it.
     pub fn against(&self, model: &Model, motion: &Motion) -> Self {
         let drawn = Drawn::new(model, motion, &self.window);
-        let model_depth = carry(&drawn.picture, &drawn.seen, &model.connectivity, &[]).depth;
-        let model_depth = without_nothing(model_depth);
+        let model_depth = without_nothing(continued_depth(&drawn.picture));
         let residual = (0..self.mask.len())
             .map(|i| if self.mask[i] { self.depth(i).saturating_sub(model_depth[i]) } else { 0 })
             .collect();
@@ -50,8 +50,6 @@ impl SeenScan {
 pub struct Expected {
     /// Depth of the model, continued beside it.
     pub model_depth: Vec<i32>,
-    /// Where each pixel lies in the references.
-    pub places: Vec<Vec<[i32; 2]>>,
     /// Which pixels the scan should have.
     pub mask: Expectation,
     /// Residual that the references carry along.
@@ -62,16 +60,16 @@ impl Expected {
     /// Expects a scan that sees `drawn` from those decoded already.
     pub fn new(model: &Model, drawn: &Drawn, references: &[&SeenScan]) -> Self {
         let seen: Vec<_> = references.iter().map(|r| &r.drawn.seen[..]).collect();
-        let Carried { depth, places } = carry(&drawn.picture, &drawn.seen, &model.connectivity, &seen);
+        let Carried { depth, offsets } = carry(&drawn.picture, &drawn.seen, &model.connectivity, &seen);
         let (width, height) = (drawn.picture.width, drawn.picture.height);
         let (level, residual) = if references.is_empty() {
             let level = drawn.picture.depth.iter().map(|d| if *d == NOTHING { 0 } else { 2 }).collect();
             (level, vec![0; depth.len()])
         } else {
-            expected_pixels(&places, references, depth.len())
+            expected_pixels(&offsets, references, [width, height])
         };
         let mask = Expectation { width, height, level };
-        Self { model_depth: without_nothing(depth), places, mask, residual }
+        Self { model_depth: without_nothing(depth), mask, residual }
     }
 }
 
@@ -83,69 +81,105 @@ fn without_nothing(mut depth: Vec<i32>) -> Vec<i32> {
 
 /// How surely each pixel is on the surface: the mean of bilinear shares of the references' masks; and its residual: the
 /// mean of what those references hold whose masks have the nearest pixel, 0 where none has it.
-fn expected_pixels(places: &[Vec<[i32; 2]>], references: &[&SeenScan], count: usize) -> (Vec<u8>, Vec<i32>) {
+fn expected_pixels(
+    offsets: &[Offsets],
+    references: &[&SeenScan],
+    [width, height]: [usize; 2],
+) -> (Vec<u8>, Vec<i32>) {
     let of = references.len() as i32;
-    let (mut level, mut residual) = (Vec::with_capacity(count), Vec::with_capacity(count));
-    for i in 0..count {
-        let (mut share, mut sum, mut n) = (0, 0_i64, 0);
-        for (reference, places) in references.iter().zip(places) {
-            let (covered, nearest) = look(reference, places[i]);
-            share += covered;
-            if let Some(v) = nearest {
-                sum += i64::from(v);
-                n += 1;
+    let (mut level, mut residual) = (vec![0; width * height], vec![0; width * height]);
+    for block in 0..offsets[0].blocks.len() {
+        let [x0, y0] = offsets[0].corner(block);
+        let mut found = Found::default();
+        for (reference, offsets) in references.iter().zip(offsets) {
+            found.look(reference, [x0, y0], offsets.blocks[block]);
+        }
+        for y in y0..(y0 + BLOCK).min(height) {
+            for x in x0..(x0 + BLOCK).min(width) {
+                let (i, k) = (y * width + x, (y - y0) * BLOCK + x - x0);
+                level[i] = surely(found.share[k], of);
+                residual[i] = found.residual(k);
             }
         }
-        // Shares of 65536.
-        level.push(match share {
-            s if s >= 65_000 * of => CERTAIN,
-            s if s >= 43_000 * of => 3,
-            s if s >= 22_000 * of => 2,
-            s if s >= 600 * of => 1,
-            _ => 0,
-        });
-        residual.push(match n {
-            0 => 0,
-            1 => sum as i32,
-            2 => (sum / 2) as i32,
-            n => (sum / n) as i32,
-        });
     }
     (level, residual)
 }
 
-/// Bilinear share of a reference's mask at a place, 1/65536, and the residual of the nearest pixel if the mask has it.
-fn look(reference: &SeenScan, [x, y]: [i32; 2]) -> (i32, Option<i32>) {
-    let (width, height) = (reference.window.width as i32, reference.window.height as i32);
-    let (px, py) = (x >> PX_BITS, y >> PX_BITS);
-    if px < -1 || py < -1 || px >= width || py >= height {
-        return (0, None);
+/// Class of a sum of shares of 65536 over so many references.
+fn surely(share: i32, of: i32) -> u8 {
+    match share {
+        s if s >= 65_000 * of => CERTAIN,
+        s if s >= 43_000 * of => 3,
+        s if s >= 22_000 * of => 2,
+        s if s >= 600 * of => 1,
+        _ => 0,
     }
-    let (fx, fy) = (x & 255, y & 255);
-    let (right, below) = (fx >> 7, fy >> 7);
-    if px >= 0 && py >= 0 && px + 1 < width && py + 1 < height {
-        let at = (py * width + px) as usize;
-        let (upper, lower) =
-            (&reference.mask[at..at + 2], &reference.mask[at + width as usize..at + width as usize + 2]);
-        if upper[0] && upper[1] && lower[0] && lower[1] {
-            return (1 << 16, Some(reference.residual[at + (below * width + right) as usize]));
+}
+
+/// What references show of the pixels of a block.
+#[derive(Default)]
+struct Found {
+    /// Sum of bilinear shares of their masks, 1/65536.
+    share: [i32; BLOCK * BLOCK],
+    /// Sum of the residuals of the nearest pixels that the masks have, and their number.
+    sum: [i64; BLOCK * BLOCK],
+    count: [u8; BLOCK * BLOCK],
+}
+
+impl Found {
+    fn residual(&self, k: usize) -> i32 {
+        match self.count[k] {
+            0 => 0,
+            1 => self.sum[k] as i32,
+            2 => (self.sum[k] / 2) as i32,
+            n => (self.sum[k] / i64::from(n)) as i32,
         }
     }
-    let on = |x: i32, y: i32| {
-        let inside = x >= 0 && y >= 0 && x < width && y < height;
-        inside && reference.mask[(y * width + x) as usize]
-    };
-    let weight = |x: i32, y: i32| i32::from(on(x, y));
-    let share = (weight(px, py) * (256 - fx) + weight(px + 1, py) * fx) * (256 - fy)
-        + (weight(px, py + 1) * (256 - fx) + weight(px + 1, py + 1) * fx) * fy;
-    let (nx, ny) = (px + right, py + below);
-    (share, on(nx, ny).then(|| reference.residual[(ny * width + nx) as usize]))
+
+    /// Adds what a reference shows of the block whose first pixel is `corner`, `offset` (1/256 px) from there.
+    fn look(&mut self, reference: &SeenScan, corner: [usize; 2], offset: [i32; 2]) {
+        if offset == NOWHERE {
+            return;
+        }
+        let Window { width, height, .. } = reference.window;
+        let [x0, y0] = [0, 1].map(|k| corner[k] as i32 + (offset[k] >> PX_BITS));
+        let f = offset.map(|v| v & 255);
+        let [right, below] = f.map(|v| (v >> 7) as usize);
+        let end = BLOCK as i32 + 1;
+        let is_inside = x0 >= 0 && y0 >= 0 && x0 + end <= width as i32 && y0 + end <= height as i32;
+        let mut around = [0_i32; (BLOCK + 1) * (BLOCK + 1)];
+        for (j, row) in (0..).zip(around.chunks_exact_mut(BLOCK + 1)) {
+            if is_inside {
+                let at = (y0 + j) as usize * width + x0 as usize;
+                row.iter_mut().zip(&reference.mask[at..at + BLOCK + 1]).for_each(|(r, m)| *r = i32::from(*m));
+            } else {
+                let is_on = |x: i32, y: i32| {
+                    let inside = x >= 0 && y >= 0 && x < width as i32 && y < height as i32;
+                    inside && reference.mask[y as usize * width + x as usize]
+                };
+                (0..).zip(row).for_each(|(i, r)| *r = i32::from(is_on(x0 + i, y0 + j)));
+            }
+        }
+        for y in 0..BLOCK {
+            let rows = [y, y + 1].map(|y| &around[y * (BLOCK + 1)..(y + 1) * (BLOCK + 1)]);
+            let nearest = y0 as i64 + (y + below) as i64;
+            for x in 0..BLOCK {
+                let [upper, lower] = rows.map(|r| r[x] * (256 - f[0]) + r[x + 1] * f[0]);
+                let k = y * BLOCK + x;
+                self.share[k] += upper * (256 - f[1]) + lower * f[1];
+                if rows[below][x + right] == 1 {
+                    let at = nearest as usize * width + (i64::from(x0) + (x + right) as i64) as usize;
+                    self.sum[k] += i64::from(reference.residual[at]);
+                    self.count[k] += 1;
+                }
+            }
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shot::carry::NOWHERE;
     use crate::shot::raster::DepthPicture;
 
     fn reference(mask: &[bool]) -> SeenScan {
@@ -155,23 +189,55 @@ mod tests {
         SeenScan { motion: Motion::default(), window, drawn, model_depth: vec![7; 8], mask: mask.to_vec(), residual }
     }
 
+    fn look(reference: &SeenScan, offset: [i32; 2]) -> (i32, Option<i64>) {
+        let mut found = Found::default();
+        found.look(reference, [0; 2], offset);
+        (found.share[0], (found.count[0] > 0).then(|| found.sum[0]))
+    }
+
     #[test]
     fn shares_of_a_mask_are_bilinear_and_end_at_its_border() {
         let r = reference(&[true, true, false, false, true, true, false, false]);
-        assert_eq!(look(&r, [0, 0]).0, 1 << 16);
-        assert_eq!(look(&r, [256 + 64, 128]).0, 3 << 14);
-        assert_eq!(look(&r, [-128, 0]).0, 1 << 15);
-        assert_eq!(look(&r, [0, 256 + 192]).0, 1 << 14);
-        for off in [NOWHERE, [-257, 0], [0, -300], [4 << 8, 0], [0, 2 << 8]] {
+        assert_eq!(look(&r, [0, 0]), (1 << 16, Some(-30)));
+        assert_eq!(look(&r, [256 + 64, 128]), (3 << 14, Some(20)));
+        assert_eq!(look(&r, [-128, 0]), (1 << 15, Some(-30)));
+        assert_eq!(look(&r, [0, 256 + 192]), (1 << 14, None));
+        for off in [NOWHERE, [-257, 0], [0, -300], [4 << 8, 0], [0, 2 << 8], [1 << 28, -(1 << 28)]] {
             assert_eq!(look(&r, off), (0, None));
+        }
+    }
+
+    #[test]
+    fn a_block_is_looked_at_as_its_pixels_would_be() {
+        let window = Window { width: 11, height: 9, offset: [0; 2] };
+        let r = SeenScan {
+            window,
+            mask: (0..99).map(|i| i * i % 7 != 3).collect(),
+            residual: (0..99).map(|i| i * 31 % 40).collect(),
+            ..reference(&[])
+        };
+        for offset in [[77, 190], [-700, 300], [900, 800], [513, -257]] {
+            let mut found = Found::default();
+            found.look(&r, [4, 4], offset);
+            for (k, [x, y]) in (0..16).map(|k| (k as usize, [4 + k % 4, 4 + k / 4])) {
+                let (share, nearest) = look(&r, [(x << 8) + offset[0], (y << 8) + offset[1]]);
+                assert_eq!((found.share[k], (found.count[k] > 0).then(|| found.sum[k])), (share, nearest));
+            }
         }
     }
 
     #[test]
     fn residuals_are_the_mean_of_the_references_that_have_the_pixel() {
         let (all, left) = (reference(&[true; 8]), reference(&[true, true, false, false, true, true, false, false]));
-        let places = [vec![[100, 0], [700, 300], NOWHERE], vec![[130, 0], [700, 300], [0, 5000]]];
-        assert_eq!(expected_pixels(&places, &[&all, &left], 3).1, [(-30 - 20) / 2, 40, 0]);
+        let residual = |offsets: [[i32; 2]; 2]| {
+            let mut found = Found::default();
+            found.look(&all, [0; 2], offsets[0]);
+            found.look(&left, [0; 2], offsets[1]);
+            found.residual(0)
+        };
+        assert_eq!(residual([[100, 0], [130, 0]]), (-30 - 20) / 2);
+        assert_eq!(residual([[700, 300], [700, 300]]), 40);
+        assert_eq!(residual([NOWHERE, [0, 5000]]), 0);
     }
 
     #[test]

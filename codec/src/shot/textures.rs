@@ -1,10 +1,10 @@
 //! Texture payload of a group: the picture of its keyframe, and what the scans between lack when they are blended.
 
-use super::carry::carry;
+use super::carry;
 use super::model::Model;
 use super::seen_scan::SeenScan;
 use crate::bits::bytes::{ByteReader, put_varint};
-use crate::texture::coded::{Models, Options, Planes, Shifts, Source, decode, encode};
+use crate::texture::coded::{Models, Offsets, Options, Planes, Shifts, Source, decode, encode};
 use crate::{GreyPicture, Result};
 use std::sync::Arc;
 
@@ -59,8 +59,8 @@ pub fn encode_key(
     before: Option<Textured<'_>>,
     steps: TextureSteps,
 ) -> (Vec<u8>, TextureChain) {
-    let places = before.map(|b| places(scan, model, &[b.scan]));
-    let sources = sources(before.as_slice(), places.as_deref().unwrap_or(&[]), &[WHOLE as u16]);
+    let offsets = before.map(|b| offsets(scan, model, &[b.scan]));
+    let sources = sources(before.as_slice(), offsets.as_deref().unwrap_or(&[]), &[WHOLE as u16]);
     let mut models = before.map(|b| b.chain.models.clone()).unwrap_or_default();
     let step = if before.is_some() { steps.key } else { steps.alone };
     let planes = Planes::from_grey(picture);
@@ -73,8 +73,8 @@ pub fn encode_key(
 /// # Errors
 /// [`crate::CodecError::Payload`] for bytes that do not fit.
 pub fn decode_key(bytes: &[u8], scan: &SeenScan, model: &Model, before: Option<Textured<'_>>) -> Result<TextureChain> {
-    let places = before.map(|b| places(scan, model, &[b.scan]));
-    let sources = sources(before.as_slice(), places.as_deref().unwrap_or(&[]), &[WHOLE as u16]);
+    let offsets = before.map(|b| offsets(scan, model, &[b.scan]));
+    let sources = sources(before.as_slice(), offsets.as_deref().unwrap_or(&[]), &[WHOLE as u16]);
     let mut models = before.map(|b| b.chain.models.clone()).unwrap_or_default();
     let size = [scan.window.width, scan.window.height];
     let decoded = decode(bytes, (1, size), &scan.mask, &sources, &mut models)?;
@@ -90,8 +90,8 @@ pub fn encode_between(
     steps: TextureSteps,
 ) -> Vec<u8> {
     let weights = weights(tick, keys);
-    let places = places_between(scan, model, keys, &weights);
-    let sources = sources(keys, &places, &weights);
+    let offsets = offsets_between(scan, model, keys, &weights);
+    let sources = sources(keys, &offsets, &weights);
     let mut models = keys.last().map(|k| k.chain.models.clone()).unwrap_or_default();
     let options = Options { refine: false, ..Options::with_step(steps.between) };
     encode(&Planes::from_grey(picture), &scan.mask, &sources, &mut models, &options).0
@@ -108,28 +108,28 @@ pub fn decode_between(
     keys: &[Textured<'_>],
 ) -> Result<GreyPicture> {
     let weights = weights(tick, keys);
-    let places = places_between(scan, model, keys, &weights);
-    let sources = sources(keys, &places, &weights);
+    let offsets = offsets_between(scan, model, keys, &weights);
+    let sources = sources(keys, &offsets, &weights);
     let mut models = keys.last().map(|k| k.chain.models.clone()).unwrap_or_default();
     let size = [scan.window.width, scan.window.height];
     Ok(decode(bytes, (1, size), &scan.mask, &sources, &mut models)?.planes.to_grey())
 }
 
-fn places(scan: &SeenScan, model: &Model, references: &[&SeenScan]) -> Vec<Vec<[i32; 2]>> {
+fn offsets(scan: &SeenScan, model: &Model, references: &[&SeenScan]) -> Vec<Offsets> {
     let seen: Vec<_> = references.iter().map(|r| &r.drawn.seen[..]).collect();
-    carry(&scan.drawn.picture, &scan.drawn.seen, &model.connectivity, &seen).places
+    carry::offsets(&scan.drawn.picture, &scan.drawn.seen, &model.connectivity, &seen)
 }
 
-/// Places in the pictures of `keys`, the slide of the model from the one to the other taken as even in time.
-fn places_between(scan: &SeenScan, model: &Model, keys: &[Textured<'_>], weights: &[u16]) -> Vec<Vec<[i32; 2]>> {
+/// Offsets to the pictures of `keys`, the slide of the model from the one to the other taken as even in time.
+fn offsets_between(scan: &SeenScan, model: &Model, keys: &[Textured<'_>], weights: &[u16]) -> Vec<Offsets> {
     let references: Vec<&SeenScan> = keys.iter().map(|k| k.scan).collect();
-    let mut places = places(scan, model, &references);
-    if let ([before, after], [_, end]) = (&mut places[..], keys) {
+    let mut offsets = offsets(scan, model, &references);
+    if let ([before, after], [_, end]) = (&mut offsets[..], keys) {
         let at = after.clone();
         end.chain.shifts.correct(&at, i32::from(weights[1]), before);
         end.chain.shifts.correct(&at, -i32::from(weights[0]), after);
     }
-    places
+    offsets
 }
 
 /// Nearer keyframes weigh more, linearly in ticks.
@@ -144,13 +144,13 @@ fn weights(tick: u64, keys: &[Textured<'_>]) -> Vec<u16> {
     }
 }
 
-fn sources<'a>(keys: &[Textured<'a>], places: &'a [Vec<[i32; 2]>], weights: &[u16]) -> Vec<Source<'a>> {
-    let source = |((key, places), weight): ((&Textured<'a>, &'a Vec<[i32; 2]>), &u16)| Source {
+fn sources<'a>(keys: &[Textured<'a>], offsets: &'a [Offsets], weights: &[u16]) -> Vec<Source<'a>> {
+    let source = |((key, offsets), weight): ((&Textured<'a>, &'a Offsets), &u16)| Source {
         planes: &key.chain.planes,
-        places,
+        offsets,
         weight: *weight,
     };
-    keys.iter().zip(places).zip(weights).map(source).collect()
+    keys.iter().zip(offsets).zip(weights).map(source).collect()
 }
 
 /// The payload: the keyframe's picture, then those between in time order, empty where a scan has none.

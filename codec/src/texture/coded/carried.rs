@@ -1,20 +1,25 @@
-//! Decoded pictures seen through maps of positions.
+//! Decoded pictures seen through offsets of blocks.
 
 use super::canvas::NOT_YET;
+use super::offsets::{BLOCK, NOWHERE, Offsets};
 use super::planes::{MAX_VALUE, Planes, continue_outside};
 use super::shifts::Shifts;
 
-/// Position of a pixel that a source does not show.
-pub const NOWHERE: [i32; 2] = [i32::MIN; 2];
 /// Weights of two sources add up to this.
 const WHOLE: i32 = 256;
 /// Taps of the interpolation.
 const TAPS: usize = 8;
-/// Largest position, 1/256 px.
-const MAX_PLACE: i32 = 1 << 28;
+/// Rows and columns that the pixels of a block are interpolated from.
+const REACH: usize = BLOCK + TAPS - 1;
+/// Columns that are read: whole vectors.
+const READ: usize = 12;
+/// Bits dropped after the first direction, so that sums fit 16 bits, and after the second.
+const DROPPED: [u32; 2] = [4, 8];
+/// Largest offset, 1/256 px.
+const MAX_OFFSET: i32 = 1 << 28;
 
 /// Interpolation at 1/16 px: the luma filters of ITU-T H.266 (section 8.5.6.3.2), sum 64.
-const FILTER: [[i32; TAPS]; 16] = [
+const FILTER: [[i16; TAPS]; 16] = [
     [0, 0, 0, 64, 0, 0, 0, 0],
     [0, 1, -3, 63, 4, -2, 1, 0],
     [-1, 2, -5, 62, 8, -3, 1, 0],
@@ -38,13 +43,17 @@ const FILTER: [[i32; TAPS]; 16] = [
 pub struct Source<'a> {
     /// The decoded picture.
     pub planes: &'a Planes,
-    /// For each pixel of the new picture its position in this one, 1/256 px; [`NOWHERE`] where it is not seen.
-    pub places: &'a [[i32; 2]],
+    /// From each block of the new picture to this one.
+    pub offsets: &'a Offsets,
     /// Weight, 0 to 256, for blending two; the two add up to 256.
     pub weight: u16,
 }
 
-/// What the sources let expect of a picture of so many planes and this width and height; `None` without sources.
+/// Pixels of a block, row-major; [`NOT_YET`] where its source does not show it.
+type Block = [i16; BLOCK * BLOCK];
+
+/// What the sources let expect of a picture of so many planes and this width and height where `mask` holds; `None` without
+/// sources.
 ///
 /// # Panics
 /// When the sources do not fit the picture.
@@ -52,45 +61,63 @@ pub fn expect(
     sources: &[Source<'_>],
     shifts: &Shifts,
     (planes, [width, height]): (usize, [usize; 2]),
+    mask: &[bool],
 ) -> Option<Planes> {
+    let first = sources.first()?;
+    let blocks = width.div_ceil(BLOCK) * height.div_ceil(BLOCK);
     for s in sources {
-        assert_eq!((s.places.len(), s.planes.levels.len()), (width * height, planes), "a source fits its picture");
+        assert_eq!((s.offsets.blocks.len(), s.planes.levels.len()), (blocks, planes), "a source fits its picture");
     }
+    let shifts = Some(shifts).filter(|s| !s.is_none());
     let plane = |p: usize| {
         let mut pixels = vec![NOT_YET; width * height];
-        match sources {
-            [one] => carry(one, p, Some(shifts), width, &mut pixels),
-            [one, two] => {
-                let mut second = pixels.clone();
-                carry(one, p, None, width, &mut pixels);
-                carry(two, p, None, width, &mut second);
-                let weight = i32::from(two.weight).min(WHOLE);
-                pixels.iter_mut().zip(second).for_each(|(a, b)| *a = blend(*a, b, weight));
+        for block in 0..blocks {
+            let [x, y] = first.offsets.corner(block);
+            let (columns, rows) = (BLOCK.min(width - x), BLOCK.min(height - y));
+            let starts = (0..rows).map(|row| (y + row) * width + x);
+            if !starts.clone().any(|at| mask[at..at + columns].contains(&true)) {
+                continue;
             }
-            _ => panic!("a picture has none, one or two sources"),
+            let expected = match sources {
+                [one] => moved(one, p, block, shifts.map_or([0; 2], |s| s.of_block(x, y))),
+                [one, two] => {
+                    let weight = i32::from(two.weight).min(WHOLE);
+                    blend(moved(one, p, block, [0; 2]), &moved(two, p, block, [0; 2]), weight)
+                }
+                _ => panic!("a picture has none, one or two sources"),
+            };
+            for (at, row) in starts.zip(expected.chunks_exact(BLOCK)) {
+                pixels[at..at + columns].copy_from_slice(&row[..columns]);
+            }
         }
         continue_outside(&mut pixels, width);
         pixels
     };
-    (!sources.is_empty()).then(|| Planes { width, height, levels: (0..planes).map(plane).collect() })
+    Some(Planes { width, height, levels: (0..planes).map(plane).collect() })
 }
 
-fn blend(a: i16, b: i16, weight: i32) -> i16 {
-    match (a, b) {
-        (NOT_YET, v) | (v, NOT_YET) => v,
-        _ => ((i32::from(a) * (WHOLE - weight) + i32::from(b) * weight + WHOLE / 2) >> 8) as i16,
+fn blend(mut one: Block, two: &Block, weight: i32) -> Block {
+    match (one[0], two[0]) {
+        (NOT_YET, _) => return *two,
+        (_, NOT_YET) => return one,
+        _ => {}
     }
+    for (a, b) in one.iter_mut().zip(two) {
+        *a = ((i32::from(*a) * (WHOLE - weight) + i32::from(*b) * weight + WHOLE / 2) >> 8) as i16;
+    }
+    one
 }
 
-fn carry(source: &Source<'_>, plane: usize, shifts: Option<&Shifts>, width: usize, out: &mut [i16]) {
-    let shifts = shifts.filter(|s| !s.is_none());
+/// A block as its source shows it, `shift` (1/256 px) further on.
+fn moved(source: &Source<'_>, plane: usize, block: usize, shift: [i32; 2]) -> Block {
+    let offset = source.offsets.blocks[block];
+    if offset == NOWHERE {
+        return [NOT_YET; BLOCK * BLOCK];
+    }
+    let corner = source.offsets.corner(block);
+    let at = [0, 1].map(|k| ((corner[k] as i32) << 8) + offset[k].clamp(-MAX_OFFSET, MAX_OFFSET) + shift[k]);
     let view = View { pixels: &source.planes.levels[plane], width: source.planes.width, height: source.planes.height };
-    for (i, (out, place)) in out.iter_mut().zip(source.places).enumerate() {
-        if *place != NOWHERE {
-            let shift = shifts.map_or([0; 2], |s| s.at(i % width, i / width));
-            *out = view.sample([0, 1].map(|k| place[k].clamp(-MAX_PLACE, MAX_PLACE) + shift[k]));
-        }
-    }
+    view.block(at)
 }
 
 /// One plane of a source.
@@ -101,32 +128,49 @@ struct View<'a> {
 }
 
 impl View<'_> {
-    /// Value at a position (1/256 px, rounded to 1/16), the border continued.
-    fn sample(&self, at: [i32; 2]) -> i16 {
+    /// The block whose first pixel is at a position (1/256 px, rounded to 1/16), the border continued.
+    fn block(&self, at: [i32; 2]) -> Block {
         let [x, y] = at.map(|v| (v + 8) >> 4);
         let (fx, fy) = (&FILTER[(x & 15) as usize], &FILTER[(y & 15) as usize]);
         let (x0, y0) = ((x >> 4) - 3, (y >> 4) - 3);
-        let mut columns = [0_i32; TAPS];
-        let taps = TAPS as i32;
-        if x0 >= 0 && y0 >= 0 && x0 + taps <= self.width as i32 && y0 + taps <= self.height as i32 {
+        if x0 >= 0 && y0 >= 0 && x0 as usize + READ <= self.width && y0 as usize + REACH <= self.height {
             let start = y0 as usize * self.width + x0 as usize;
-            for (row, weight) in self.pixels[start..].chunks(self.width).zip(fy) {
-                for (c, p) in columns.iter_mut().zip(&row[..TAPS]) {
-                    *c += weight * i32::from(*p);
-                }
-            }
-        } else {
-            let inside = |v: i32, size: usize| v.clamp(0, size as i32 - 1) as usize;
-            for (j, weight) in (0..).zip(fy) {
-                let row = inside(y0 + j, self.height) * self.width;
-                for (i, c) in (0..).zip(&mut columns) {
-                    *c += weight * i32::from(self.pixels[row + inside(x0 + i, self.width)]);
-                }
+            return interpolate(&self.pixels[start..], self.width, fx, fy);
+        }
+        let inside = |v: i32, size: usize| v.clamp(0, size as i32 - 1) as usize;
+        let mut around = [0; READ * REACH];
+        for (j, row) in (0..).zip(around.chunks_exact_mut(READ)) {
+            let from = inside(y0 + j, self.height) * self.width;
+            for (i, out) in (0..).zip(row) {
+                *out = self.pixels[from + inside(x0 + i, self.width)];
             }
         }
-        let sum: i32 = columns.iter().zip(fx).map(|(c, weight)| c * weight).sum();
-        ((sum + (1 << 11)) >> 12).clamp(0, MAX_VALUE) as i16
+        interpolate(&around, READ, fx, fy)
     }
+}
+
+/// Interpolates a block between the pixels that begin three above and three to the left of it, rows `stride` apart.
+fn interpolate(pixels: &[i16], stride: usize, fx: &[i16; TAPS], fy: &[i16; TAPS]) -> Block {
+    let mut out = [0; BLOCK * BLOCK];
+    for (r, out) in out.chunks_exact_mut(BLOCK).enumerate() {
+        let mut columns = [0_i32; READ];
+        for (row, weight) in pixels[r * stride..].chunks(stride).zip(fy) {
+            for (c, p) in columns.iter_mut().zip(&row[..READ]) {
+                *c += i32::from(*weight) * i32::from(*p);
+            }
+        }
+        let columns = columns.map(|c| (c >> DROPPED[0]) as i16);
+        let mut sums = [1_i32 << (DROPPED[1] - 1); BLOCK];
+        for (i, weight) in fx.iter().enumerate() {
+            for (s, c) in sums.iter_mut().zip(&columns[i..i + BLOCK]) {
+                *s += i32::from(*weight) * i32::from(*c);
+            }
+        }
+        for (o, s) in out.iter_mut().zip(sums) {
+            *o = (s >> DROPPED[1]).clamp(0, MAX_VALUE) as i16;
+        }
+    }
+    out
 }
 
 #[cfg(test)]
@@ -144,9 +188,19 @@ mod tests {
     #[test]
     fn filters_sum_to_one_and_mirror() {
         for (k, f) in FILTER.iter().enumerate() {
-            assert_eq!(f.iter().sum::<i32>(), 64, "{k}");
+            assert_eq!(f.iter().sum::<i16>(), 64, "{k}");
             if k > 0 {
                 assert!((0..TAPS).all(|i| f[i] == FILTER[16 - k][TAPS - 1 - i]), "{k}");
+            }
+        }
+    }
+
+    #[test]
+    fn intermediate_sums_fit_sixteen_bits() {
+        let most = |f: &[i16; TAPS], sign: i16| f.iter().map(|w| i32::from((*w * sign).max(0))).sum::<i32>();
+        for f in &FILTER {
+            for sign in [1, -1] {
+                assert!((most(f, sign) * MAX_VALUE) >> DROPPED[0] <= i32::from(i16::MAX));
             }
         }
     }
@@ -156,10 +210,9 @@ mod tests {
         let (w, h) = (60, 50);
         let here = waves(w, h, 0.0, 0.0);
         for (dx, dy) in [(0.25, 0.0), (-1.5, 2.3125), (0.5, 0.5), (3.0, -2.0)] {
-            let place = |i: usize| [(i % w) as f64 + dx, (i / w) as f64 + dy].map(|v| (v * 256.0) as i32);
-            let places: Vec<_> = (0..w * h).map(place).collect();
-            let source = Source { planes: &here, places: &places, weight: 256 };
-            let seen = expect(&[source], &Shifts::none(w, h), (1, [w, h])).unwrap();
+            let offsets = Offsets::even(w, h, [dx, dy].map(|v| (v * 256.0) as i32));
+            let source = Source { planes: &here, offsets: &offsets, weight: 256 };
+            let seen = expect(&[source], &Shifts::none(w, h), (1, [w, h]), &vec![true; w * h]).unwrap();
             let there = waves(w, h, dx, dy);
             for y in 8..h - 8 {
                 for x in 8..w - 8 {
@@ -171,15 +224,20 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_that_one_source_shows_is_taken_from_it() {
-        let plane = |v: i16| Planes { width: 3, height: 1, levels: vec![vec![v; 3]] };
+    fn a_block_that_one_source_shows_is_taken_from_it() {
+        let plane = |v: i16| Planes { width: 12, height: 1, levels: vec![vec![v; 12]] };
         let (a, b) = (plane(160), plane(320));
+        let at = |blocks: [[i32; 2]; 3]| Offsets { columns: 3, blocks: blocks.into() };
         let p = [0, 0];
         let sources = [
-            Source { planes: &a, places: &[p, NOWHERE, p], weight: 64 },
-            Source { planes: &b, places: &[p, p, NOWHERE], weight: 192 },
+            Source { planes: &a, offsets: &at([p, NOWHERE, p]), weight: 64 },
+            Source { planes: &b, offsets: &at([p, p, NOWHERE]), weight: 192 },
         ];
-        let seen = expect(&sources, &Shifts::none(3, 1), (1, [3, 1])).unwrap();
-        assert_eq!(seen.levels[0], [280, 320, 160]);
+        let seen = expect(&sources, &Shifts::none(12, 1), (1, [12, 1]), &[true; 12]).unwrap();
+        assert_eq!(seen.levels[0], [280, 280, 280, 280, 320, 320, 320, 320, 160, 160, 160, 160]);
+        // Where the mask is off its neighbours go on.
+        let mask = [vec![false; 4], vec![true; 8]].concat();
+        let seen = expect(&sources, &Shifts::none(12, 1), (1, [12, 1]), &mask).unwrap();
+        assert_eq!(seen.levels[0][..5], [320; 5]);
     }
 }

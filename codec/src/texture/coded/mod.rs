@@ -1,6 +1,6 @@
 //! Textures in closed loop: what decoded pictures let expect along the motion, corrected in blocks.
 //!
-//! A picture is predicted from none, one or two decoded pictures through maps of positions ([`Source`]), the map of a single
+//! A picture is predicted from none, one or two decoded pictures through offsets of blocks ([`Source`]), those of a single
 //! one refined by a coarse grid of shifts, and corrected by cosine transforms of 8x8, 16x16 and 32x32 px with adaptive
 //! contexts. Only pixels of a mask count. Everything that a decoder computes is an integer.
 
@@ -10,12 +10,14 @@ mod carried;
 mod choice;
 mod levels;
 mod mixing;
+mod offsets;
 mod planes;
 mod shift_search;
 mod shifts;
 mod transform;
 
-pub use carried::{NOWHERE, Source};
+pub use carried::Source;
+pub use offsets::{BLOCK, NOWHERE, Offsets};
 pub use planes::{LEVEL_BITS, Planes};
 pub use shifts::Shifts;
 
@@ -100,7 +102,7 @@ pub fn encode(
         let coded = models.shifts.code(&mut out, &mut shifts);
         debug_assert!(coded.is_some());
     }
-    let expected = carried::expect(sources, &shifts, wanted.shape());
+    let expected = carried::expect(sources, &shifts, wanted.shape(), mask);
     let mut levels = Vec::with_capacity(steps.len());
     for (p, step) in steps.iter().enumerate() {
         let mut canvas = Canvas::new(width, mask, expected.as_ref().map(|e| &e.levels[p][..]), i32::from(*step));
@@ -152,7 +154,7 @@ pub fn decode(
     if sources.len() == 1 {
         models.shifts.code(&mut reader, &mut shifts).ok_or_else(|| reader.error("a shift out of range"))?;
     }
-    let expected = carried::expect(sources, &shifts, (planes, [width, height]));
+    let expected = carried::expect(sources, &shifts, (planes, [width, height]), mask);
     let mut levels = Vec::with_capacity(planes);
     for (p, step) in steps.into_iter().enumerate() {
         let mut canvas = Canvas::new(width, mask, expected.as_ref().map(|e| &e.levels[p][..]), i32::from(step));

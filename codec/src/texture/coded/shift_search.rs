@@ -3,7 +3,8 @@
 //! Lucas and Kanade's step (An iterative image registration technique, IJCAI 1981) at all nodes of the grid at a time, on
 //! smoothed pictures first; slow changes of brightness are taken out before.
 
-use super::carried::{NOWHERE, Source};
+use super::carried::Source;
+use super::offsets::NOWHERE;
 use super::planes::Planes;
 use super::shifts::{MAX_SHIFT, SHIFT_BITS, SPACING, Shifts};
 
@@ -29,8 +30,9 @@ pub fn search(wanted: &Planes, mask: &[bool], source: &Source<'_>) -> Shifts {
     if width < 3 || height < 3 || source.planes.width < 2 || source.planes.height < 2 {
         return shifts;
     }
+    let is_shown = |i: usize| source.offsets.at(i % width, i / width) != NOWHERE;
     let counts: Vec<f32> =
-        mask.iter().zip(source.places).map(|(m, p)| f32::from(u8::from(*m && *p != NOWHERE))).collect();
+        mask.iter().enumerate().map(|(i, m)| f32::from(u8::from(*m && is_shown(i)))).collect();
     let mut exact_px = vec![[0.0_f32; 2]; shifts.nodes.len()];
     for smoothing_px in STEPS_PX {
         let (carried, missing) = compare(wanted, &counts, source, &shifts);
@@ -58,8 +60,10 @@ pub fn search(wanted: &Planes, mask: &[bool], source: &Source<'_>) -> Shifts {
 fn compare(wanted: &Planes, counts: &[f32], source: &Source<'_>, shifts: &Shifts) -> (Vec<f32>, Vec<f32>) {
     let (mut carried, mut missing) = (vec![0.0; counts.len()], vec![0.0; counts.len()]);
     for i in (0..counts.len()).filter(|i| counts[*i] > 0.0) {
-        let shift = shifts.at(i % wanted.width, i / wanted.width);
-        carried[i] = bilinear(source.planes, [0, 1].map(|k| source.places[i][k].saturating_add(shift[k])));
+        let at = [i % wanted.width, i / wanted.width];
+        let (offset, shift) = (source.offsets.at(at[0], at[1]), shifts.at(at[0], at[1]));
+        let place = |k: usize| offset[k].saturating_add(((at[k] as i32) << 8) + shift[k]);
+        carried[i] = bilinear(source.planes, [place(0), place(1)]);
         missing[i] = f32::from(wanted.levels[0][i]) - carried[i];
     }
     (carried, missing)
@@ -168,6 +172,7 @@ fn box_sum(values: &[f32], width: usize, radius_px: usize) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Offsets;
     use super::*;
 
     #[test]
@@ -193,8 +198,8 @@ mod tests {
         };
         let reference = picture(&level);
         let wanted = picture(&|x, y| level(x + truth(x, y)[0], y + truth(x, y)[1]) * 0.8 + 2.0 * x);
-        let places: Vec<_> = (0..w * h).map(|i| [(i % w) as i32 * 256, (i / w) as i32 * 256]).collect();
-        let source = Source { planes: &reference, places: &places, weight: 256 };
+        let offsets = Offsets::even(w, h, [0; 2]);
+        let source = Source { planes: &reference, offsets: &offsets, weight: 256 };
         let shifts = search(&wanted, &vec![true; w * h], &source);
         let (mut error, mut before, mut count) = (0.0, 0.0, 0.0);
         for y in 10..h - 10 {

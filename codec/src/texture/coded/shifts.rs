@@ -2,8 +2,8 @@
 //!
 //! What moves the surface is found from its shape; along the surface it may be off by a pixel, which the picture shows.
 
-use super::carried::NOWHERE;
 use super::mixing::{Coder, Contexts, Mixer};
+use super::offsets::{BLOCK, NOWHERE, Offsets};
 
 /// Pixels between nodes, a power of two.
 pub const SPACING: usize = 1 << SPACING_BITS;
@@ -56,18 +56,35 @@ impl Shifts {
         })
     }
 
-    /// Moves `places` (1/256 px, of a scan in a picture) by `share` / 256 of the shifts at `at`, where the same pixels lie in
-    /// the picture that these shifts were found for; pixels that one of both does not show stay.
+    /// Shift of the block of [`BLOCK`] px whose first pixel this is, 1/256 px.
+    pub fn of_block(&self, x: usize, y: usize) -> [i32; 2] {
+        self.at(x + BLOCK / 2, y + BLOCK / 2)
+    }
+
+    /// Moves `offsets` (of a scan's blocks in a picture) by `share` / 256 of the shifts where `at` takes the same blocks in
+    /// the picture that these shifts were found for; blocks that one of both does not show stay.
     ///
     /// A motion that goes astray evenly from the source (time 0) to this picture (time 1) is off by `t - t0` of a shift
-    /// between a scan at time `t` and a picture at `t0`: that is the share for places of this scan in that picture.
-    pub fn correct(&self, at: &[[i32; 2]], share: i32, places: &mut [[i32; 2]]) {
+    /// between a scan at time `t` and a picture at `t0`: that is the share for offsets of this scan to that picture.
+    ///
+    /// # Panics
+    /// When the offsets are not of one picture.
+    pub fn correct(&self, at: &Offsets, share: i32, offsets: &mut Offsets) {
+        assert_eq!((at.columns, at.blocks.len()), (offsets.columns, offsets.blocks.len()), "offsets of one picture");
         let rows = self.nodes.len() / self.columns;
-        let last = [self.columns, rows].map(|n| (((n - 1) * SPACING - 1) << 8) as i32);
-        for (place, at) in places.iter_mut().zip(at).filter(|(p, a)| **p != NOWHERE && **a != NOWHERE) {
-            let [x, y] = [0, 1].map(|k| ((at[k].clamp(0, last[k]) + 128) >> 8) as usize);
+        let last = [self.columns, rows].map(|n| ((n - 1) * SPACING - 1) as i32);
+        for block in 0..at.blocks.len() {
+            let (there, offset) = (at.blocks[block], &mut offsets.blocks[block]);
+            if there == NOWHERE || *offset == NOWHERE {
+                continue;
+            }
+            let corner = at.corner(block);
+            let [x, y] = [0, 1].map(|k| {
+                let middle = (corner[k] + BLOCK / 2) as i32 + (there[k].saturating_add(128) >> 8);
+                middle.clamp(0, last[k]) as usize
+            });
             let shift = self.at(x, y);
-            *place = [0, 1].map(|k| place[k].saturating_add((shift[k] * share) >> 8));
+            *offset = [0, 1].map(|k| offset[k].saturating_add((shift[k] * share) >> 8));
         }
     }
 
@@ -153,13 +170,14 @@ mod tests {
     fn an_even_error_is_shared_between_the_two_sides() {
         let mut shifts = Shifts::none(32, 32);
         shifts.nodes.fill([16, 8]);
-        let after = [[2048, 2048], [-900, 1 << 30], NOWHERE];
-        let mut before = [[2560, 2560], NOWHERE, [5, 5]];
+        let of = |blocks: &[[i32; 2]]| Offsets { columns: 4, blocks: blocks.into() };
+        let after = of(&[[2048, 2048], [-900, 1 << 30], NOWHERE, [0; 2]]);
+        let mut before = of(&[[2560, 2560], NOWHERE, [5, 5], [7, 7]]);
         shifts.correct(&after, 64, &mut before);
-        assert_eq!(before, [[2688, 2624], NOWHERE, [5, 5]]);
-        let mut corrected = after;
+        assert_eq!(before, of(&[[2688, 2624], NOWHERE, [5, 5], [7 + 128, 7 + 64]]));
+        let mut corrected = after.clone();
         shifts.correct(&after, 64 - 256, &mut corrected);
-        assert_eq!(corrected, [[2048 - 384, 2048 - 192], [-900 - 384, (1 << 30) - 192], NOWHERE]);
+        assert_eq!(corrected.blocks[..2], [[2048 - 384, 2048 - 192], [-900 - 384, (1 << 30) - 192]]);
     }
 
     proptest! {

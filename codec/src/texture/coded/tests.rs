@@ -18,8 +18,8 @@ fn scene(width: usize, height: usize, shift: f64, light: f64) -> (Planes, Vec<bo
 }
 
 /// Places of every pixel, (dx, dy) / 256 px away.
-fn moved(width: usize, height: usize, dx: i32, dy: i32) -> Vec<[i32; 2]> {
-    (0..width * height).map(|i| [(i % width) as i32 * 256 + dx, (i / width) as i32 * 256 + dy]).collect()
+fn moved(width: usize, height: usize, dx: i32, dy: i32) -> Offsets {
+    Offsets::even(width, height, [dx, dy])
 }
 
 /// Mean squared error in grey levels inside the mask.
@@ -53,8 +53,8 @@ fn a_moved_picture_costs_little_and_one_between_two_next_to_nothing() {
     let (first_size, a) = both_ways(&first, &m1, &[], &mut keys, &options);
     assert!(mean_square(&a.planes, &first, &m1) < 6.0);
     // The map is off by (0.5, -0.25) px, which the shifts find.
-    let places = moved(w, h, -1024 + 128, -64);
-    let source = Source { planes: &a.planes, places: &places, weight: 256 };
+    let offsets = moved(w, h, -1024 + 128, -64);
+    let source = Source { planes: &a.planes, offsets: &offsets, weight: 256 };
     let (last_size, b) = both_ways(&last, &m3, &[source], &mut keys, &options);
     assert!(mean_square(&b.planes, &last, &m3) < 6.0);
     assert!(2 * last_size < first_size, "{first_size} and {last_size} bytes");
@@ -66,8 +66,8 @@ fn a_moved_picture_costs_little_and_one_between_two_next_to_nothing() {
     b.shifts.correct(&uncorrected, 128, &mut before);
     b.shifts.correct(&uncorrected, -128, &mut after);
     let sources = [
-        Source { planes: &a.planes, places: &before, weight: 128 },
-        Source { planes: &b.planes, places: &after, weight: 128 },
+        Source { planes: &a.planes, offsets: &before, weight: 128 },
+        Source { planes: &b.planes, offsets: &after, weight: 128 },
     ];
     let mut between = (Models::default(), Models::default());
     let (size, c) = both_ways(&middle, &m2, &sources, &mut between, &Options::with_step(400));
@@ -81,9 +81,10 @@ fn what_the_source_does_not_show_is_coded_anew() {
     let (picture, _) = scene(w, h, 0.0, 0.0);
     let mask = vec![true; w * h];
     let dark = Planes { width: w, height: h, levels: vec![vec![0; w * h]] };
-    let mut places = moved(w, h, 0, 0);
-    places[..w * h / 2].fill(NOWHERE);
-    let source = Source { planes: &dark, places: &places, weight: 256 };
+    let mut offsets = moved(w, h, 0, 0);
+    let half = offsets.blocks.len() / 2;
+    offsets.blocks[..half].fill(NOWHERE);
+    let source = Source { planes: &dark, offsets: &offsets, weight: 256 };
     let (_, decoded) = both_ways(&picture, &mask, &[source], &mut Default::default(), &Options::with_step(64));
     assert!(mean_square(&decoded.planes, &picture, &mask) < 4.0);
 }
@@ -119,7 +120,7 @@ struct Predicted {
     bytes: Vec<u8>,
     reference: Planes,
     mask: Vec<bool>,
-    places: Vec<[i32; 2]>,
+    offsets: Offsets,
     size: [usize; 2],
 }
 
@@ -131,14 +132,14 @@ impl Predicted {
         let ((first, m1), (second, mask)) = (scene(w, h, 0.0, 0.0), scene(w, h, 1.0, 9.0));
         let options = Options::with_step(60);
         let reference = encode(&first, &m1, &[], &mut Models::default(), &options).1.planes;
-        let places = moved(w, h, 100, 20);
-        let source = Source { planes: &reference, places: &places, weight: 256 };
+        let offsets = moved(w, h, 100, 20);
+        let source = Source { planes: &reference, offsets: &offsets, weight: 256 };
         let (bytes, _) = encode(&second, &mask, &[source], &mut Models::default(), &options);
-        Self { bytes, reference, mask, places, size: [w, h] }
+        Self { bytes, reference, mask, offsets, size: [w, h] }
     }
 
     fn read(&self, bytes: &[u8], predicted: bool) -> Result<Decoded> {
-        let source = Source { planes: &self.reference, places: &self.places, weight: 256 };
+        let source = Source { planes: &self.reference, offsets: &self.offsets, weight: 256 };
         let sources: &[Source<'_>] = if predicted { &[source] } else { &[] };
         decode(bytes, (1, self.size), &self.mask, sources, &mut Models::default())
     }
@@ -196,16 +197,17 @@ proptest! {
                 .collect(),
         };
         let mask: Vec<bool> = (0..width * height).map(|i| hash(i / 13, 9) % hole != 0).collect();
-        let place = |i: usize, k: u32| match hash(i / 5, k) % 4 {
+        let offset = |i: usize, k: u32| match hash(i / 5, k) % 4 {
             0 => NOWHERE,
-            _ => [0, 1].map(|c| {
-                let at = [i % width, i / width][c] as i32 * 256;
-                at + (i64::from(hash(i / 50, k + c as u32) % 1000) * i64::from(reach) / 500 - i64::from(reach)) as i32
-            }),
+            _ => [0, 1].map(|c| (i64::from(hash(i / 9, k + c) % 1000) * i64::from(reach) / 500 - i64::from(reach)) as i32),
         };
-        let maps = [0, 1].map(|k| (0..width * height).map(|i| place(i, 20 + k)).collect::<Vec<_>>());
+        let maps = [0, 1].map(|k| {
+            let mut offsets = moved(width, height, 0, 0);
+            offsets.blocks.iter_mut().enumerate().for_each(|(i, o)| *o = offset(i, 20 + k));
+            offsets
+        });
         let references = [picture(40), picture(50)];
-        let all = [0, 1].map(|k| Source { planes: &references[k], places: &maps[k], weight: 77 + 102 * k as u16 });
+        let all = [0, 1].map(|k| Source { planes: &references[k], offsets: &maps[k], weight: 77 + 102 * k as u16 });
         let mut models = (Models::default(), Models::default());
         for k in 0..2 {
             both_ways(&picture(60 + k), &mask, &all[..sources], &mut models, &Options::with_step(step));
