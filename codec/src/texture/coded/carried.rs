@@ -79,10 +79,10 @@ pub fn expect(
                 continue;
             }
             let expected = match sources {
-                [one] => moved(one, p, block, shifts.map_or([0; 2], |s| s.of_block(x, y))),
+                [one] => refined(one, p, block, shifts, [width, height]),
                 [one, two] => {
                     let weight = i32::from(two.weight).min(WHOLE);
-                    blend(moved(one, p, block, [0; 2]), &moved(two, p, block, [0; 2]), weight)
+                    blend(moved(one, p, block), &moved(two, p, block), weight)
                 }
                 _ => panic!("a picture has none, one or two sources"),
             };
@@ -108,16 +108,35 @@ fn blend(mut one: Block, two: &Block, weight: i32) -> Block {
     one
 }
 
-/// A block as its source shows it, `shift` (1/256 px) further on.
-fn moved(source: &Source<'_>, plane: usize, block: usize, shift: [i32; 2]) -> Block {
+/// A block as its source shows it.
+fn moved(source: &Source<'_>, plane: usize, block: usize) -> Block {
     let offset = source.offsets.blocks[block];
     if offset == NOWHERE {
         return [NOT_YET; BLOCK * BLOCK];
     }
     let corner = source.offsets.corner(block);
-    let at = [0, 1].map(|k| ((corner[k] as i32) << 8) + offset[k].clamp(-MAX_OFFSET, MAX_OFFSET) + shift[k]);
-    let view = View { pixels: &source.planes.levels[plane], width: source.planes.width, height: source.planes.height };
-    view.block(at)
+    View::new(source, plane).block([0, 1].map(|k| place(corner[k], offset[k])))
+}
+
+/// A block of a single source, whose pixels have offsets of their own, `shifts` further on.
+fn refined(source: &Source<'_>, plane: usize, block: usize, shifts: Option<&Shifts>, size: [usize; 2]) -> Block {
+    let mut out = [NOT_YET; BLOCK * BLOCK];
+    if source.offsets.blocks[block] == NOWHERE {
+        return out;
+    }
+    let (corner, view) = (source.offsets.corner(block), View::new(source, plane));
+    for (k, out) in out.iter_mut().enumerate() {
+        let [x, y] = [corner[0] + k % BLOCK, corner[1] + k / BLOCK];
+        if x < size[0] && y < size[1] {
+            let (offset, shift) = (source.offsets.between(x, y), shifts.map_or([0; 2], |s| s.at(x, y)));
+            *out = view.pixel([place(x, offset[0] + shift[0]), place(y, offset[1] + shift[1])]);
+        }
+    }
+    out
+}
+
+fn place(v: usize, offset: i32) -> i32 {
+    ((v as i32) << 8) + offset.clamp(-MAX_OFFSET, MAX_OFFSET)
 }
 
 /// One plane of a source.
@@ -127,7 +146,38 @@ struct View<'a> {
     height: usize,
 }
 
-impl View<'_> {
+impl<'a> View<'a> {
+    fn new(source: &Source<'a>, plane: usize) -> Self {
+        Self { pixels: &source.planes.levels[plane], width: source.planes.width, height: source.planes.height }
+    }
+
+    /// The pixel at a position, as [`Self::block`] gives its first one.
+    fn pixel(&self, at: [i32; 2]) -> i16 {
+        let [x, y] = at.map(|v| (v + 8) >> 4);
+        let (fx, fy) = (&FILTER[(x & 15) as usize], &FILTER[(y & 15) as usize]);
+        let (x0, y0) = ((x >> 4) - 3, (y >> 4) - 3);
+        let mut columns = [0_i32; TAPS];
+        let taps = TAPS as i32;
+        if x0 >= 0 && y0 >= 0 && x0 + taps <= self.width as i32 && y0 + taps <= self.height as i32 {
+            let start = y0 as usize * self.width + x0 as usize;
+            for (row, weight) in self.pixels[start..].chunks(self.width).zip(fy) {
+                for (c, p) in columns.iter_mut().zip(&row[..TAPS]) {
+                    *c += i32::from(*weight) * i32::from(*p);
+                }
+            }
+        } else {
+            let inside = |v: i32, size: usize| v.clamp(0, size as i32 - 1) as usize;
+            for (j, weight) in (0..).zip(fy) {
+                let row = inside(y0 + j, self.height) * self.width;
+                for (i, c) in (0..).zip(&mut columns) {
+                    *c += i32::from(*weight) * i32::from(self.pixels[row + inside(x0 + i, self.width)]);
+                }
+            }
+        }
+        let sum: i32 = columns.iter().zip(fx).map(|(c, weight)| (c >> DROPPED[0]) * i32::from(*weight)).sum();
+        ((sum + (1 << (DROPPED[1] - 1))) >> DROPPED[1]).clamp(0, MAX_VALUE) as i16
+    }
+
     /// The block whose first pixel is at a position (1/256 px, rounded to 1/16), the border continued.
     fn block(&self, at: [i32; 2]) -> Block {
         let [x, y] = at.map(|v| (v + 8) >> 4);
