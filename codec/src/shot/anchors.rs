@@ -61,7 +61,7 @@ impl Anchors {
         for (id, px) in tracked {
             let kept = before.get(id).copied().filter(|grid| {
                 let target = lift(image, *px);
-                target.is_some_and(|t| (t - point_mm(model, &scan.motion, *grid)).length() < LOST_MM)
+                target.is_some_and(|t| (t - point_mm(model, &scan.placed.motion, *grid)).length() < LOST_MM)
             });
             if let Some(grid) = kept.or_else(|| grid_of(model, scan, *px)) {
                 self.grid.insert(*id, grid);
@@ -85,8 +85,8 @@ fn point_mm(model: &Model, motion: &Motion, grid: [f64; 2]) -> DVec3 {
 /// Place on the domain grid of what a decoded scan shows at a pixel.
 fn grid_of(model: &Model, scan: &SeenScan, px: [f32; 2]) -> Option<[f64; 2]> {
     let (x, y) = (px[0].round() as i64, px[1].round() as i64);
-    let inside = x >= 0 && y >= 0 && x < scan.window.width as i64 && y < scan.window.height as i64;
-    let i = inside.then(|| y as usize * scan.window.width + x as usize)?;
+    let inside = x >= 0 && y >= 0 && x < scan.placed.window.width as i64 && y < scan.placed.window.height as i64;
+    let i = inside.then(|| y as usize * scan.placed.window.width + x as usize)?;
     if !scan.mask[i] || scan.drawn.picture.depth[i] == NOTHING {
         return None;
     }

@@ -14,8 +14,8 @@ const NONE: u32 = u32::MAX;
 /// The surface of a scan: a vertex a pixel of its mask, neighbours joined where depth does not jump; with texture
 /// coordinates for a picture of the scan's own size.
 pub fn as_scan(model: &Model, scan: &SeenScan) -> TriMesh {
-    let back = model.view.moved(scan.window.offset).back_projection();
-    let (width, height) = (scan.window.width, scan.window.height);
+    let back = model.view.moved(scan.placed.window.offset).back_projection();
+    let (width, height) = (scan.placed.window.width, scan.placed.window.height);
     let count = scan.mask.iter().filter(|on| **on).count();
     let mut positions_mm = Vec::with_capacity(count);
     let mut uv = Vec::with_capacity(count);
@@ -46,7 +46,7 @@ pub fn as_scan(model: &Model, scan: &SeenScan) -> TriMesh {
 /// As [`as_scan`], its surface moved by what each vertex of the model moves, mm.
 pub fn as_scan_at(model: &Model, scan: &SeenScan, by_mm: &[Vec3]) -> TriMesh {
     let mut mesh = as_scan(model, scan);
-    let nearest = nearest_known(&scan.drawn.picture.depth, |d| *d != NOTHING, scan.window.width);
+    let nearest = nearest_known(&scan.drawn.picture.depth, |d| *d != NOTHING, scan.placed.window.width);
     let pixels = (0..scan.mask.len()).filter(|i| scan.mask[*i]);
     for (p, i) in mesh.positions_mm.iter_mut().zip(pixels) {
         let j = nearest[i] as usize;
@@ -60,7 +60,7 @@ pub fn as_scan_at(model: &Model, scan: &SeenScan, by_mm: &[Vec3]) -> TriMesh {
 /// Mean of the corners of the triangle that a pixel shows, by its place in it.
 fn displacement(model: &Model, scan: &SeenScan, pixel: usize, by_mm: &[Vec3]) -> Vec3 {
     let corners = model.connectivity.triangles[scan.drawn.picture.triangle[pixel] as usize];
-    let width = scan.window.width;
+    let width = scan.placed.window.width;
     let p = DVec2::new((pixel % width) as f64, (pixel / width) as f64) * f64::from(1 << PX_BITS);
     let [a, b, c] = corners.map(|v| {
         let s = scan.drawn.seen[v as usize];

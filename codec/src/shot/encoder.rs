@@ -12,7 +12,6 @@ use super::order::{Decoded, coding_order};
 use super::register::{RegisterOptions, Registered, register};
 use super::scan_code::{self, Context, Fidelity, ScanModels, Spent};
 use super::scan_image::ScanImage;
-use super::seen_scan::SeenScan;
 use super::steps::Steps;
 use super::textures::{self, TextureChain, TextureSteps, Textured};
 use crate::bits::range_coder::RangeEncoder;
@@ -34,6 +33,8 @@ const LATTICE_WORTH: f64 = 0.6;
 const KEY_WORTH: f64 = 5.0;
 /// The same for scans between keyframes.
 const BETWEEN_WORTH: f64 = 25.0;
+/// Farther than this from the nearest decoded scan, in ticks, a scan is first found by its tracked points.
+const FAR_TICKS: u64 = 3;
 /// A registration that matches less of the model than this has lost it.
 const MIN_MATCHED: f64 = 0.5;
 
@@ -253,7 +254,7 @@ impl Encoder {
     ) -> Result<CodedKey> {
         if let (Some(image), Some(chain)) = (image, self.chain.clone()) {
             let predicted = chain.keys.predict(stamp.tick)?.unwrap_or_default();
-            let found = self.register(&chain.model, &predicted, image, tracked);
+            let found = self.register(&chain.model, &predicted, (image, true), tracked);
             if found.matched >= MIN_MATCHED {
                 let key = if self.groups_since_base < self.config.refresh_groups {
                     self.continued(stamp, image, chain, &predicted, &found.correction)
@@ -267,9 +268,15 @@ impl Encoder {
         self.begun(scan, stamp, tracked)
     }
 
-    fn register(&self, model: &Model, predicted: &Motion, image: &ScanImage, tracked: &[TrackedPixel]) -> Registered {
-        let points = (&self.anchors, tracked);
-        register(model, predicted, image, points, &self.config.steps.motion, &self.config.tradeoff().register)
+    fn register(
+        &self,
+        model: &Model,
+        predicted: &Motion,
+        (image, is_far): (&ScanImage, bool),
+        tracked: &[TrackedPixel],
+    ) -> Registered {
+        let options = RegisterOptions { is_far, ..self.config.tradeoff().register };
+        register(model, predicted, image, (&self.anchors, tracked), &self.config.steps.motion, &options)
     }
 
     fn continued(
@@ -281,11 +288,16 @@ impl Encoder {
         correction: &Correction,
     ) -> CodedKey {
         let references = chain.keys.references(stamp.tick);
-        let context = Context { model: &chain.model, steps: &self.config.steps, predicted, references: &references };
+        let nearest = chain.keys.nearest(stamp.tick).map(|(_, window)| window);
+        let context = Context { model: &chain.model, steps: &self.config.steps };
         let mut models = chain.models.clone();
         let mut out = RangeEncoder::default();
         let fidelity = self.config.tradeoff().key;
-        let (scan, spent) = scan_code::encode(context, correction, image, fidelity, (&mut out, &mut models));
+        let window = (image.window, nearest);
+        let (placed, motion) =
+            scan_code::encode_place(context, window, (correction, predicted), (&mut out, &mut models));
+        let (scan, spent) = scan_code::encode(context, placed, &references, (image, fidelity), (&mut out, &mut models));
+        let spent = Spent { motion, ..spent };
         let chain = Chain { models, ..chain }.advance(stamp.tick, Arc::new(scan));
         let bytes = group::finish(out);
         CodedKey { start: Start::Continues, new_base: None, bridge: None, bytes, spent, chain, repair: None }
@@ -332,7 +344,7 @@ impl Encoder {
         let model = Arc::new(Model::new(&new, self.config.steps.flat));
         let chain = Chain { model, key_tick: stamp.tick, keys: Decoded::default(), models: ScanModels::default() };
         let predicted = Motion::default();
-        let found = self.register(&chain.model, &predicted, image, tracked);
+        let found = self.register(&chain.model, &predicted, (image, true), tracked);
         let key = self.continued(stamp, image, chain, &predicted, &found.correction);
         CodedKey { start, new_base: Some(new), ..key }
     }
@@ -390,17 +402,26 @@ impl Encoder {
             _ => end_tick = None,
         }
         let ticks: Vec<u64> = pending.iter().map(|p| p.stamp.tick).collect();
-        for i in coding_order(&ticks, before.key_tick, end_tick) {
+        let order = coding_order(&ticks, before.key_tick, end_tick);
+        let context = Context { model: &before.model, steps };
+        for &i in &order {
             let predicted = decoded.predict(ticks[i])?.unwrap_or_default();
+            let nearest = decoded.nearest(ticks[i]);
+            let image = (&pending[i].image, nearest.is_none_or(|(distance, _)| distance > FAR_TICKS));
+            let found = self.register(&before.model, &predicted, image, &pending[i].tracked);
+            let window = (pending[i].image.window, nearest.map(|(_, window)| window));
+            let motion = (&found.correction, &predicted);
+            let (placed, spent) = scan_code::encode_place(context, window, motion, (&mut out, &mut models));
+            total.motion += spent;
+            decoded.placed.insert(ticks[i], placed);
+        }
+        let fidelity = self.config.tradeoff().between;
+        for i in order {
             let references = decoded.references(ticks[i]);
-            let context = Context { model: &before.model, steps, predicted: &predicted, references: &references };
-            let found = self.register(&before.model, &predicted, &pending[i].image, &pending[i].tracked);
-            let coder = (&mut out, &mut models);
-            let fidelity = self.config.tradeoff().between;
-            let (scan, spent): (SeenScan, Spent) =
-                scan_code::encode(context, &found.correction, &pending[i].image, fidelity, coder);
+            let (placed, shown) = (decoded.placed[&ticks[i]].clone(), (&pending[i].image, fidelity));
+            let (scan, spent) = scan_code::encode(context, placed, &references, shown, (&mut out, &mut models));
             total = total + spent;
-            decoded.insert(ticks[i], Arc::new(scan));
+            decoded.scans.insert(ticks[i], Arc::new(scan));
         }
         Ok((group::finish(out), total, decoded))
     }
@@ -416,7 +437,7 @@ impl Encoder {
     ) -> Option<Vec<u8>> {
         let coded = Arc::clone(&key.chain.keys.scans[&stamp.tick]);
         let before = self.texture.take().zip(self.chain.as_ref());
-        let picture = picture_of(scan, &coded.window)?;
+        let picture = picture_of(scan, &coded.placed.window)?;
         let steps = self.config.texture;
         let textured = before.as_ref().map(|(texture, chain)| Textured {
             scan: &chain.keys.scans[&chain.key_tick],

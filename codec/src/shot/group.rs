@@ -4,7 +4,7 @@ use super::base::CodedBase;
 use super::model::Model;
 use super::motion::Motion;
 use super::motion_code::Correction;
-use super::order::{Decoded, coding_order};
+use super::order::{Decoded, Placed, coding_order};
 use super::scan_code::{self, Context, ScanModels};
 use super::seen_scan::SeenScan;
 use super::steps::Steps;
@@ -13,6 +13,7 @@ use crate::bits::bytes::{ByteReader, put_varint, unzigzag64, zigzag64};
 use crate::bits::range_coder::{RangeDecoder, RangeEncoder};
 use crate::stamps::{Stamp, put_stamps, take_stamps};
 use crate::{Result, StreamHeader};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Most scans of a group.
@@ -69,8 +70,8 @@ impl Chain {
     pub fn advance(mut self, tick: u64, scan: Arc<SeenScan>) -> Self {
         self.key_tick = tick;
         self.keys.insert(tick, scan);
-        while self.keys.motions.len() > KEYS {
-            self.keys.motions.pop_first();
+        while self.keys.placed.len() > KEYS {
+            self.keys.placed.pop_first();
         }
         while self.keys.scans.len() > 1 {
             self.keys.scans.pop_first();
@@ -171,11 +172,65 @@ impl<'a> Parts<'a> {
         let mut reader = RangeDecoder::new(self.key, "keyframe");
         let mut models = chain.models.clone();
         let predicted = chain.keys.predict(tick)?.unwrap_or_default();
+        let context = Context { model: &chain.model, steps };
+        let nearest = chain.keys.nearest(tick).map(|(_, window)| window);
+        let placed = scan_code::decode_place(context, nearest, &predicted, (&mut reader, &mut models))?;
         let references = chain.keys.references(tick);
-        let context = Context { model: &chain.model, steps, predicted: &predicted, references: &references };
-        let scan = scan_code::decode(context, (&mut reader, &mut models))?;
+        let scan = scan_code::decode(context, placed, &references, (&mut reader, &mut models))?;
         end(reader)?;
         Ok(Chain { models, ..chain }.advance(tick, Arc::new(scan)))
+    }
+
+    /// Decodes where the scans between are, in time order; `before` and `after` are the chains at the keyframes around them.
+    ///
+    /// # Errors
+    /// [`crate::CodecError`] when bytes do not fit, or the chain is missing.
+    pub fn decode_places(&self, steps: &Steps, before: Option<&Chain>, after: &Chain) -> Result<Vec<(Stamp, Placed)>> {
+        let stamps = &self.stamps[..self.stamps.len() - 1];
+        if stamps.is_empty() {
+            return Ok(Vec::new());
+        }
+        let mut places = self.places(steps, before, after)?.placed;
+        let ticks = stamps.iter().map(|s| (*s, places.remove(&s.tick).unwrap_or_default()));
+        Ok(ticks.collect())
+    }
+
+    /// The part of the section between that says where scans are.
+    fn places(&self, steps: &Steps, before: Option<&Chain>, after: &Chain) -> Result<Places<'a>> {
+        let stamps = &self.stamps[..self.stamps.len() - 1];
+        let missing = || ByteReader::new(&[], "group").error("its scans follow a keyframe that is not there");
+        let before = before.filter(|b| b.key_tick < stamps[0].tick).ok_or_else(missing)?;
+        let context = Context { model: &before.model, steps };
+        let mut reader = RangeDecoder::new(self.between, "between");
+        let mut models = after.models.clone();
+        let mut decoded = Decoded { placed: before.keys.placed.clone(), ..Decoded::default() };
+        let key_tick = self.key_stamp().tick;
+        let key = &after.keys.placed[&key_tick];
+        let end = match self.start {
+            Start::Continues => Some(key.motion.clone()),
+            Start::Begins => None,
+            Start::Refreshes => {
+                let predicted = decoded.predict(key_tick)?.unwrap_or_default();
+                Some(decode_motion(&mut reader, &mut models, &predicted, before, steps)?)
+            }
+        };
+        if let Some(motion) = &end {
+            decoded.placed.insert(key_tick, Placed { window: key.window, motion: motion.clone() });
+        }
+        let ticks: Vec<u64> = stamps.iter().map(|s| s.tick).collect();
+        let order = coding_order(&ticks, before.key_tick, end.as_ref().map(|_| key_tick));
+        let mut pixels = 0;
+        for &i in &order {
+            let predicted = decoded.predict(ticks[i])?.unwrap_or_default();
+            let nearest = decoded.nearest(ticks[i]).map(|(_, window)| window);
+            let placed = scan_code::decode_place(context, nearest, &predicted, (&mut reader, &mut models))?;
+            pixels += placed.window.width * placed.window.height;
+            if pixels > MAX_GROUP_PIXELS {
+                return Err(reader.error(format!("more than {MAX_GROUP_PIXELS} pixels in a group")));
+            }
+            decoded.placed.insert(ticks[i], placed);
+        }
+        Ok(Places { reader, models, order, end, placed: decoded.placed })
     }
 
     /// Decodes the scans between, in time order; `before` and `after` are the chains at the keyframes around them.
@@ -184,47 +239,51 @@ impl<'a> Parts<'a> {
     /// [`crate::CodecError`] when bytes do not fit, or the chain is missing.
     pub fn decode_between(&self, steps: &Steps, before: Option<&Chain>, after: &Chain) -> Result<Between> {
         let stamps = &self.stamps[..self.stamps.len() - 1];
-        if stamps.is_empty() {
-            return Ok(Between::default());
-        }
-        let missing = || ByteReader::new(&[], "group").error("its scans follow a keyframe that is not there");
-        let before = before.filter(|b| b.key_tick < stamps[0].tick).ok_or_else(missing)?;
-        let mut reader = RangeDecoder::new(self.between, "between");
-        let mut models = after.models.clone();
-        let mut decoded = before.keys.clone();
+        let Some(before) = before.filter(|_| !stamps.is_empty()) else { return self.without_between() };
+        let Places { mut reader, mut models, order, end: motion, mut placed } =
+            self.places(steps, Some(before), after)?;
+        let context = Context { model: &before.model, steps };
         let key_tick = self.key_stamp().tick;
         let key = &after.keys.scans[&key_tick];
-        let bridge = match self.start {
-            Start::Continues => Some(Arc::clone(key)),
-            Start::Begins => None,
-            Start::Refreshes => {
-                let predicted = decoded.predict(key_tick)?.unwrap_or_default();
-                let motion = decode_motion(&mut reader, &mut models, &predicted, before, steps)?;
-                Some(Arc::new(key.against(&before.model, &motion)))
-            }
-        };
-        let end_tick = bridge.as_ref().map(|_| key_tick);
+        let bridge = motion.map(|motion| match self.start {
+            Start::Refreshes => Arc::new(key.against(&before.model, &motion)),
+            _ => Arc::clone(key),
+        });
+        let mut decoded = before.keys.clone();
         if let Some(bridge) = &bridge {
             decoded.insert(key_tick, Arc::clone(bridge));
         }
-        let ticks: Vec<u64> = stamps.iter().map(|s| s.tick).collect();
-        let mut pixels = 0;
         let mut scans: Vec<Option<Arc<SeenScan>>> = vec![None; stamps.len()];
-        for i in coding_order(&ticks, before.key_tick, end_tick) {
-            let predicted = decoded.predict(ticks[i])?.unwrap_or_default();
-            let references = decoded.references(ticks[i]);
-            let context = Context { model: &before.model, steps, predicted: &predicted, references: &references };
-            let scan = Arc::new(scan_code::decode(context, (&mut reader, &mut models))?);
-            pixels += scan.mask.len();
-            if pixels > MAX_GROUP_PIXELS {
-                return Err(reader.error(format!("more than {MAX_GROUP_PIXELS} pixels in a group")));
-            }
-            decoded.insert(ticks[i], Arc::clone(&scan));
+        for i in order {
+            let tick = stamps[i].tick;
+            let references = decoded.references(tick);
+            let place = placed.remove(&tick).unwrap_or_default();
+            let scan = Arc::new(scan_code::decode(context, place, &references, (&mut reader, &mut models))?);
+            decoded.scans.insert(tick, Arc::clone(&scan));
             scans[i] = Some(scan);
         }
         end(reader)?;
         Ok(Between { scans: stamps.iter().copied().zip(scans.into_iter().flatten()).collect(), end: bridge })
     }
+
+    /// What a group without scans between decodes to, or without the keyframe that they follow.
+    fn without_between(&self) -> Result<Between> {
+        if self.stamps.len() > 1 {
+            return Err(ByteReader::new(&[], "group").error("its scans follow a keyframe that is not there"));
+        }
+        Ok(Between::default())
+    }
+}
+
+/// A section between whose first part is decoded.
+struct Places<'a> {
+    reader: RangeDecoder<'a>,
+    models: ScanModels,
+    /// Coding order, indices in time order.
+    order: Vec<usize>,
+    /// The model of the keyframe before at the keyframe after, unless another shot begins there.
+    end: Option<Motion>,
+    placed: BTreeMap<u64, Placed>,
 }
 
 fn decode_motion(

@@ -1,12 +1,15 @@
 //! What holds after a group: the state that the next one is decoded from, and the scans to show.
 
+use super::bisection::Connectivity;
 use super::group::{Chain, Parts, Start};
 use super::model::Model;
+use super::order::Placed;
 use super::seen_scan::SeenScan;
 use super::steps::Steps;
 use super::textures::{self, Pictures, TextureChain, Textured};
 use super::tracked::{Picture, Shown};
-use crate::{CodecError, Result};
+use super::view::{PX_BITS, Seen};
+use crate::{CodecError, GreyPicture, Result, Stamp};
 use std::sync::Arc;
 
 /// The state after a group.
@@ -59,22 +62,43 @@ impl Link {
         let between = parts.decode_between(steps, before.map(|b| &b.chain), &self.chain)?;
         let mut shown = Vec::with_capacity(parts.stamps.len());
         if let Some(before) = before {
-            let mut keys: Vec<_> =
-                before.key_picture(&before.chain.keys.scans[&before.chain.key_tick]).into_iter().collect();
-            keys.extend(between.end.as_ref().and_then(|end| self.key_picture(end)));
-            let keys = Arc::new(keys);
+            let key = before.key_picture(&before.chain.keys.scans[&before.chain.key_tick]);
+            let after = between.end.as_ref().and_then(|end| self.key_picture(end));
+            let keys: Arc<Vec<_>> = Arc::new(key.iter().cloned().chain(after).collect());
             for (i, (stamp, scan)) in between.scans.into_iter().enumerate() {
                 let bytes = pictures.map(|p| p.between[i]).filter(|b| !b.is_empty());
                 let picture = bytes.map(|b| Picture::Between(b.into(), Arc::clone(&keys)));
-                let model = Arc::clone(&before.chain.model);
-                shown.push(Shown { stamp, scan, model, shot: before.shot, picture });
+                shown.push(before.shown(stamp, Arc::new(scan.placed.clone()), Some(scan), picture));
             }
         }
-        let stamp = parts.key_stamp();
+        shown.push(self.shown_key(parts.key_stamp()));
+        Ok(shown)
+    }
+
+    /// As [`Self::show`] for the tracked mesh, which asks where scans are and nothing else.
+    ///
+    /// # Errors
+    /// As [`Self::after`].
+    pub fn show_places(&self, parts: &Parts<'_>, before: Option<&Self>, steps: &Steps) -> Result<Vec<Shown>> {
+        let places = parts.decode_places(steps, before.map(|b| &b.chain), &self.chain)?;
+        let between = places.into_iter().zip(std::iter::repeat(before));
+        let mut shown: Vec<Shown> = between
+            .filter_map(|((stamp, placed), before)| Some(before?.shown(stamp, Arc::new(placed), None, None)))
+            .collect();
+        shown.push(self.shown_key(parts.key_stamp()));
+        Ok(shown)
+    }
+
+    /// A scan that moves this model.
+    fn shown(&self, stamp: Stamp, placed: Arc<Placed>, scan: Option<Arc<SeenScan>>, picture: Option<Picture>) -> Shown {
+        let key = self.key_picture(&self.chain.keys.scans[&self.chain.key_tick]).map(Arc::new);
+        Shown { stamp, placed, scan, model: Arc::clone(&self.chain.model), shot: self.shot, picture, key }
+    }
+
+    fn shown_key(&self, stamp: Stamp) -> Shown {
         let scan = Arc::clone(&self.chain.keys.scans[&stamp.tick]);
         let picture = self.texture.as_ref().map(|t| Picture::Key(Arc::clone(t)));
-        shown.push(Shown { stamp, scan, model: Arc::clone(&self.chain.model), shot: self.shot, picture });
-        Ok(shown)
+        self.shown(stamp, Arc::new(scan.placed.clone()), Some(scan), picture)
     }
 
     fn textured(&self) -> Option<Textured<'_>> {
@@ -86,6 +110,7 @@ impl Link {
         Some(KeyPicture {
             scan: Arc::clone(scan),
             chain: Arc::clone(self.texture.as_ref()?),
+            model: Arc::clone(&self.chain.model),
             tick: self.chain.key_tick,
         })
     }
@@ -96,6 +121,8 @@ impl Link {
 pub struct KeyPicture {
     scan: Arc<SeenScan>,
     chain: Arc<TextureChain>,
+    /// Of the keyframe as it was coded.
+    model: Arc<Model>,
     tick: u64,
 }
 
@@ -103,6 +130,29 @@ impl KeyPicture {
     /// As a source.
     pub fn textured(&self) -> Textured<'_> {
         Textured { scan: &self.scan, chain: &self.chain, tick: self.tick }
+    }
+
+    /// Tick of the keyframe.
+    pub fn tick(&self) -> u64 {
+        self.tick
+    }
+
+    /// The picture.
+    pub fn grey(&self) -> GreyPicture {
+        self.chain.planes.to_grey()
+    }
+
+    /// Where the picture shows grid nodes of its model's shot.
+    pub fn uv(&self, nodes: &Connectivity) -> Vec<[f32; 2]> {
+        let Placed { window, motion } = &self.scan.placed;
+        let view = self.model.view.moved(window.offset);
+        let (width, height) = (window.width as f32, window.height as f32);
+        let uv = |p: &[i32; 3]| {
+            let seen = view.project(*p).unwrap_or(Seen::NOWHERE);
+            let [x, y] = [seen.x, seen.y].map(|v| v as f32 / f32::from(1_u16 << PX_BITS) + 0.5);
+            [x / width, 1.0 - y / height]
+        };
+        motion.positions(&self.model.base, nodes).iter().map(uv).collect()
     }
 }
 
@@ -115,7 +165,7 @@ pub fn blended(
     keys: &[KeyPicture],
     (tick, scan): (u64, &SeenScan),
     model: &Model,
-) -> Result<crate::GreyPicture> {
+) -> Result<GreyPicture> {
     let keys: Vec<Textured<'_>> = keys.iter().map(KeyPicture::textured).collect();
     textures::decode_between(bytes, (tick, scan), model, &keys)
 }

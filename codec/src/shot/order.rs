@@ -1,5 +1,6 @@
 //! In which order the scans between two keyframes are coded, and from which of them each is predicted.
 
+use super::model::Window;
 use super::motion::{Motion, weighted};
 use super::seen_scan::SeenScan;
 use crate::Result;
@@ -32,11 +33,20 @@ pub fn coding_order(ticks: &[u64], before: u64, after: Option<u64>) -> Vec<usize
     order
 }
 
+/// Where a scan is: its camera's pixels and its model.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Placed {
+    /// The camera's pixels.
+    pub window: Window,
+    /// Where the model is.
+    pub motion: Motion,
+}
+
 /// Scans decoded so far that share a model, by tick.
 #[derive(Debug, Clone, Default)]
 pub struct Decoded {
-    /// Motions: knots of predictions.
-    pub motions: BTreeMap<u64, Motion>,
+    /// Where scans are: knots of predictions.
+    pub placed: BTreeMap<u64, Placed>,
     /// Scans as they are seen: references.
     pub scans: BTreeMap<u64, Arc<SeenScan>>,
 }
@@ -44,7 +54,7 @@ pub struct Decoded {
 impl Decoded {
     /// Adds a scan.
     pub fn insert(&mut self, tick: u64, scan: Arc<SeenScan>) {
-        self.motions.insert(tick, scan.motion.clone());
+        self.placed.insert(tick, scan.placed.clone());
         self.scans.insert(tick, scan);
     }
 
@@ -54,9 +64,9 @@ impl Decoded {
     /// # Errors
     /// [`crate::CodecError::Stream`] when the ticks lie too far apart.
     pub fn predict(&self, tick: u64) -> Result<Option<Motion>> {
-        let mut knots: Vec<(i64, &Motion)> = self.motions.range(..tick).rev().take(2).map(knot).collect();
+        let mut knots: Vec<(i64, &Motion)> = self.placed.range(..tick).rev().take(2).map(knot).collect();
         knots.reverse();
-        knots.extend(self.motions.range(tick..).take(2).map(knot));
+        knots.extend(self.placed.range(tick..).take(2).map(knot));
         if knots.is_empty() {
             return Ok(None);
         }
@@ -64,6 +74,12 @@ impl Decoded {
         let weights = TickWeights::new(&ticks, tick as i64)?;
         let motions: Vec<&Motion> = knots.iter().map(|k| k.1).collect();
         Ok(Some(weighted(&motions, &weights.numerators, weights.denominator)))
+    }
+
+    /// Ticks to the nearest scan that is placed, and its window; the earlier one of two.
+    pub fn nearest(&self, tick: u64) -> Option<(u64, Window)> {
+        let near = self.placed.range(..tick).next_back().into_iter().chain(self.placed.range(tick..).next());
+        near.map(|(t, p)| (t.abs_diff(tick), p.window)).min_by_key(|(distance, _)| *distance)
     }
 
     /// The nearest scan before and after a tick, the nearer one first.
@@ -77,8 +93,8 @@ impl Decoded {
     }
 }
 
-fn knot<'a>((tick, motion): (&u64, &'a Motion)) -> (i64, &'a Motion) {
-    (*tick as i64, motion)
+fn knot<'a>((tick, placed): (&u64, &'a Placed)) -> (i64, &'a Motion) {
+    (*tick as i64, &placed.motion)
 }
 
 #[cfg(test)]

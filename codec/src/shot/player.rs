@@ -7,7 +7,7 @@ use super::group::{MAX_CONTINUED, Parts, Start};
 use super::link::Link;
 use super::steps::Steps;
 use super::textures::Pictures;
-use super::tracked::{Picture, Shown, positions_at};
+use super::tracked::{Shown, positions_at};
 use crate::mesh::TriMesh;
 use crate::player::{Fetch, Output, Payloads};
 use crate::{CodecError, GreyPicture, Result, Scan, StreamHeader};
@@ -30,6 +30,8 @@ pub struct Player {
     /// Connectivity that the tracked mesh of a shot keeps, by the group in which it began.
     displayed: Option<(usize, Arc<Connectivity>)>,
     change: Option<(u64, Change)>,
+    /// Texture of the tracked mesh, by the group in which its shot began and the tick of its keyframe.
+    texture: Option<((usize, u64), (Vec<[f32; 2]>, GreyPicture))>,
 }
 
 /// What is shown: a surface and its texture.
@@ -48,7 +50,7 @@ impl Player {
         }
         let steps = header.steps()?;
         let (chains, groups) = (BTreeMap::new(), BTreeMap::new());
-        Ok(Self { header, steps, output, key_times_nanos, chains, groups, displayed: None, change: None })
+        Ok(Self { header, steps, output, key_times_nanos, chains, groups, displayed: None, change: None, texture: None })
     }
 
     /// The scan at a time, held at the ends of the run. `fetch` gives the payloads (group, texture) of a group by index.
@@ -115,8 +117,12 @@ impl Player {
         };
         self.link(group, fetch)?;
         let pictures = pictures(texture.as_deref(), &parts).map_err(E::from)?;
-        let link = &self.chains[&group];
-        let shown = link.show(&parts, pictures.as_ref(), before.as_ref(), &self.steps).map_err(E::from)?;
+        let (link, before) = (&self.chains[&group], before.as_ref());
+        let shown = match self.output {
+            Output::Scan => link.show(&parts, pictures.as_ref(), before, &self.steps),
+            Output::Mesh => link.show_places(&parts, before, &self.steps),
+        };
+        let shown = shown.map_err(E::from)?;
         self.groups.insert(group, shown);
         forget(&mut self.groups, group, KEPT_GROUPS);
         Ok(())
@@ -174,8 +180,20 @@ impl Player {
         let nodes = self.nodes(here.shot, fetch)?;
         let (same, at) = around.of_shot(here.shot);
         let positions_mm = positions_at(&same, at, time_nanos, &nodes);
-        let (uv, texture) = key_texture(&same, at, &nodes).map_err(E::from)?.unzip();
+        let (uv, texture) = self.key_texture(here, &nodes).unzip();
         Ok((TriMesh { positions_mm, triangles: nodes.triangles.clone(), uv }, texture))
+    }
+
+    /// Picture of a scan's keyframe, and where grid nodes lie in it.
+    fn key_texture(&mut self, of: &Shown, nodes: &Connectivity) -> Option<(Vec<[f32; 2]>, GreyPicture)> {
+        let key = of.key.as_ref()?;
+        let at = (of.shot, key.tick());
+        let texture = match self.texture.take().filter(|(known, _)| *known == at) {
+            Some((_, texture)) => texture,
+            None => (key.uv(nodes), key.grey()),
+        };
+        self.texture = Some((at, texture.clone()));
+        Some(texture)
     }
 
     /// Connectivity of the base that a shot began with.
@@ -196,15 +214,6 @@ impl Player {
 
 fn pictures<'a>(texture: Option<&'a [u8]>, parts: &Parts<'_>) -> Result<Option<Pictures<'a>>> {
     texture.map(|t| Pictures::read(t, parts.stamps.len() - 1)).transpose()
-}
-
-/// Picture of the last keyframe among those decoded before a moment, or the first after it, and where nodes lie in it.
-fn key_texture(shown: &[&Shown], at: usize, nodes: &Connectivity) -> Result<Option<(Vec<[f32; 2]>, GreyPicture)>> {
-    let is_key = |s: &&&Shown| matches!(s.picture, Some(Picture::Key(_)));
-    let key = shown[..=at].iter().rev().find(is_key).or_else(|| shown[at..].iter().find(is_key));
-    let nearest = key.or_else(|| shown.get(at)).filter(|s| s.picture.is_some());
-    let Some(key) = nearest else { return Ok(None) };
-    Ok(key.texture()?.map(|picture| (key.uv(nodes), picture)))
 }
 
 /// Scans around a moment.
@@ -228,14 +237,15 @@ fn show_scan(around: &Around, time_nanos: u64) -> Result<Surface> {
     let here = &around.shown[around.at];
     let nearest = around.shown.get(around.at + 1).filter(|n| distance(n) < distance(here)).unwrap_or(here);
     let (same, at) = around.of_shot(here.shot);
+    let Some(scan) = &nearest.scan else { return Err(CodecError::Stream("the scan was not decoded".into())) };
     if distance(nearest) == 0 || nearest.shot != here.shot || same.len() < 2 {
-        return Ok((as_scan(&nearest.model, &nearest.scan), nearest.texture()?));
+        return Ok((as_scan(&nearest.model, scan), nearest.texture()?));
     }
     let nodes = &nearest.model.connectivity;
     let moved = positions_at(&same, at, time_nanos, nodes);
     let still = nearest.positions_mm(nodes);
     let by: Vec<_> = moved.iter().zip(&still).map(|(a, b)| *a - *b).collect();
-    Ok((as_scan_at(&nearest.model, &nearest.scan, &by), nearest.texture()?))
+    Ok((as_scan_at(&nearest.model, scan, &by), nearest.texture()?))
 }
 
 /// Keeps the `most` entries nearest to `around`.

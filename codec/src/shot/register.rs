@@ -42,8 +42,10 @@ const SMOOTHER: f32 = 20.0;
 /// How to register.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RegisterOptions {
-    /// Every this many grid nodes are matched.
+    /// Every this many grid nodes are matched; every second of them for the pose.
     pub stride: usize,
+    /// Tracked points move the lattice first: what has moved far is not met by its own pixels.
+    pub is_far: bool,
     /// Square millimetres that a bit of the lattice may cost.
     pub lambda: f64,
     /// Pull of each node towards its prediction.
@@ -56,7 +58,7 @@ pub struct RegisterOptions {
 
 impl Default for RegisterOptions {
     fn default() -> Self {
-        Self { stride: 3, lambda: 0.006, pull: 0.001, bending: 0.001, rounds: 2 }
+        Self { stride: 3, is_far: true, lambda: 0.006, pull: 0.001, bending: 0.001, rounds: 2 }
     }
 }
 
@@ -98,13 +100,12 @@ pub fn register(
     let mut matched = 0.0;
     let along = |now: &Motion, weight: f64| anchors.hits(tracked, model, now, (image, weight));
     for _ in 0..2 {
-        let mut hits = hits(model, &now, image, options.stride, 0.5);
+        let mut hits = hits(model, &now, image, 2 * options.stride, 0.5);
         hits.extend(along(&now, LEADING));
         correction.pose = pose_steps(&hits, &now, predicted, steps);
         now = correction.apply(predicted, &model.frames, steps);
     }
-    // Tracked points alone first: what has moved far is not met by its own pixels.
-    let first = along(&now, LEADING);
+    let first = if options.is_far { along(&now, LEADING) } else { Vec::new() };
     if first.len() >= 3 * MIN_TRACKED {
         let equations = equations(&first, &now, predicted);
         let smooth = RegisterOptions { bending: options.bending * SMOOTHER, ..*options };

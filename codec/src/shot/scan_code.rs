@@ -4,6 +4,7 @@ use super::mask::{self, MaskModels};
 use super::model::{Drawn, Model, Window};
 use super::motion::Motion;
 use super::motion_code::{Correction, MotionModels};
+use super::order::Placed;
 use super::outliers::{self, OutlierModels};
 use super::patches::{self, Field, PatchModels, PatchOptions};
 use super::scan_image::ScanImage;
@@ -36,17 +37,13 @@ impl ScanModels {
     }
 }
 
-/// What holds for a scan before it is coded.
+/// What holds for the scans of a shot.
 #[derive(Debug, Clone, Copy)]
 pub struct Context<'a> {
-    /// Surface of the shot.
+    /// Its surface.
     pub model: &'a Model,
     /// Steps of the run.
     pub steps: &'a Steps,
-    /// Where the model is expected.
-    pub predicted: &'a Motion,
-    /// Decoded scans nearby, the nearest one first; none for a scan that stands alone.
-    pub references: &'a [&'a SeenScan],
 }
 
 /// What the encoder weighs.
@@ -84,15 +81,49 @@ impl std::ops::Add for Spent {
     }
 }
 
-/// Codes a scan whose model moved by `correction`; returns it as decoded, and what its parts cost.
+/// Codes where a scan is: its window, predicted from the nearest one's, and how its model moved from where it is predicted.
+/// Returns it as decoded, and what it cost in 1/256 bit.
+pub fn encode_place(
+    context: Context<'_>,
+    (window, nearest): (Window, Option<Window>),
+    (correction, predicted): (&Correction, &Motion),
+    (out, models): (&mut RangeEncoder, &mut ScanModels),
+) -> (Placed, u64) {
+    let start = out.position();
+    models.window.encode(window, nearest, out);
+    correction.encode(out, &mut models.motion);
+    let motion = correction.apply(predicted, &context.model.frames, &context.steps.motion);
+    (Placed { window, motion }, out.position() - start)
+}
+
+/// Reads where a scan is.
+///
+/// # Errors
+/// [`crate::CodecError::Payload`] for anything out of range.
+pub fn decode_place(
+    context: Context<'_>,
+    nearest: Option<Window>,
+    predicted: &Motion,
+    (reader, models): (&mut RangeDecoder<'_>, &mut ScanModels),
+) -> Result<Placed> {
+    let window = models.window.decode(nearest, reader)?;
+    let correction = Correction::decode(reader, &mut models.motion)?;
+    let motion = correction.apply(predicted, &context.model.frames, &context.steps.motion);
+    if !motion.in_range() {
+        return Err(reader.error("a motion beyond 16 m or a pose out of range"));
+    }
+    Ok(Placed { window, motion })
+}
+
+/// Codes what a scan shows where it is; `references` are decoded scans nearby, the nearest one first, none for a scan that
+/// stands alone. Returns the scan as decoded, and what its parts cost.
 pub fn encode(
     context: Context<'_>,
-    correction: &Correction,
-    image: &ScanImage,
-    fidelity: Fidelity,
+    placed: Placed,
+    references: &[&SeenScan],
+    (image, fidelity): (&ScanImage, Fidelity),
     (out, models): (&mut RangeEncoder, &mut ScanModels),
 ) -> (SeenScan, Spent) {
-    let window = image.window;
     let mut clock = out.position();
     let mut lap = |out: &RangeEncoder| {
         let now = out.position();
@@ -100,17 +131,12 @@ pub fn encode(
         clock = now;
         spent
     };
-    models.window.encode(window, context.references.first().map(|r| r.window), out);
-    correction.encode(out, &mut models.motion);
-    let mut spent = Spent { motion: lap(out), ..Spent::default() };
-    let motion = correction.apply(context.predicted, &context.model.frames, &context.steps.motion);
-    let drawn = Drawn::new(context.model, &motion, &window);
-    let Expected { model_depth, mask: expected, mut residual, .. } =
-        Expected::new(context.model, &drawn, context.references);
+    let drawn = Drawn::new(context.model, &placed.motion, &placed.window);
+    let Expected { model_depth, mask: expected, mut residual } = Expected::new(context.model, &drawn, references);
     let mask = image.mask();
     mask::encode(&mask, &expected, out, &mut models.mask);
-    spent.mask = lap(out);
-    let field = Field { width: window.width, height: window.height, mask: &mask };
+    let mut spent = Spent { mask: lap(out), ..Spent::default() };
+    let field = Field { width: placed.window.width, height: placed.window.height, mask: &mask };
     let wanted: Vec<i32> =
         image.depth.iter().zip(&model_depth).zip(&mask).map(|((d, m), on)| if *on { d - m } else { 0 }).collect();
     let weights = image.across();
@@ -119,28 +145,26 @@ pub fn encode(
     spent.patches = lap(out);
     outliers::encode(&mask, &wanted, &weights, &mut residual, fidelity.bound, (out, &mut models.outliers));
     spent.outliers = lap(out);
-    (SeenScan { motion, window, drawn, model_depth, mask, residual }, spent)
+    (SeenScan { placed, drawn, model_depth, mask, residual }, spent)
 }
 
-/// Reads a scan.
+/// Reads a scan whose place is known.
 ///
 /// # Errors
 /// [`crate::CodecError::Payload`] for anything out of range.
-pub fn decode(context: Context<'_>, (reader, models): (&mut RangeDecoder<'_>, &mut ScanModels)) -> Result<SeenScan> {
-    let window = models.window.decode(context.references.first().map(|r| r.window), reader)?;
-    let correction = Correction::decode(reader, &mut models.motion)?;
-    let motion = correction.apply(context.predicted, &context.model.frames, &context.steps.motion);
-    if !motion.in_range() {
-        return Err(reader.error("a motion beyond 16 m or a pose out of range"));
-    }
-    let drawn = Drawn::new(context.model, &motion, &window);
-    let Expected { model_depth, mask: expected, mut residual, .. } =
-        Expected::new(context.model, &drawn, context.references);
+pub fn decode(
+    context: Context<'_>,
+    placed: Placed,
+    references: &[&SeenScan],
+    (reader, models): (&mut RangeDecoder<'_>, &mut ScanModels),
+) -> Result<SeenScan> {
+    let drawn = Drawn::new(context.model, &placed.motion, &placed.window);
+    let Expected { model_depth, mask: expected, mut residual } = Expected::new(context.model, &drawn, references);
     let mask = mask::decode(&expected, reader, &mut models.mask);
-    let field = Field { width: window.width, height: window.height, mask: &mask };
+    let field = Field { width: placed.window.width, height: placed.window.height, mask: &mask };
     patches::decode(&field, &mut residual, context.steps.patch, (reader, &mut models.patches))?;
     outliers::decode(&mask, &mut residual, (reader, &mut models.outliers))?;
-    Ok(SeenScan { motion, window, drawn, model_depth, mask, residual })
+    Ok(SeenScan { placed, drawn, model_depth, mask, residual })
 }
 
 #[derive(Debug, Clone)]

@@ -4,6 +4,7 @@ use super::carry::{Carried, carry, continued_depth};
 use super::mask::{CERTAIN, Expectation};
 use super::model::{Drawn, Model, Window};
 use super::motion::Motion;
+use super::order::Placed;
 use super::raster::NOTHING;
 use super::view::PX_BITS;
 use crate::texture::coded::{BLOCK, NOWHERE, Offsets};
@@ -14,10 +15,8 @@ const MAX_DEPTH: i32 = 1 << 25;
 /// A decoded scan.
 #[derive(Debug, Clone)]
 pub struct SeenScan {
-    /// Where the model is.
-    pub motion: Motion,
-    /// The camera's pixels.
-    pub window: Window,
+    /// The camera's pixels, and where the model is.
+    pub placed: Placed,
     /// The model as it is seen.
     pub drawn: Drawn,
     /// Depth of the model, beside it that of the nearest pixel, units.
@@ -36,12 +35,13 @@ impl SeenScan {
 
     /// The same scan against another model that is where `motion` takes it.
     pub fn against(&self, model: &Model, motion: &Motion) -> Self {
-        let drawn = Drawn::new(model, motion, &self.window);
+        let placed = Placed { window: self.placed.window, motion: motion.clone() };
+        let drawn = Drawn::new(model, motion, &placed.window);
         let model_depth = without_nothing(continued_depth(&drawn.picture));
         let residual = (0..self.mask.len())
             .map(|i| if self.mask[i] { self.depth(i).saturating_sub(model_depth[i]) } else { 0 })
             .collect();
-        Self { motion: motion.clone(), drawn, model_depth, residual, mask: self.mask.clone(), window: self.window }
+        Self { placed, drawn, model_depth, residual, mask: self.mask.clone() }
     }
 }
 
@@ -141,7 +141,7 @@ impl Found {
         if offset == NOWHERE {
             return;
         }
-        let Window { width, height, .. } = reference.window;
+        let Window { width, height, .. } = reference.placed.window;
         let [x0, y0] = [0, 1].map(|k| corner[k] as i32 + (offset[k] >> PX_BITS));
         let f = offset.map(|v| v & 255);
         let [right, below] = f.map(|v| (v >> 7) as usize);
@@ -186,7 +186,7 @@ mod tests {
         let window = Window { width: 4, height: 2, offset: [0; 2] };
         let drawn = Drawn { seen: Vec::new(), picture: DepthPicture::new(4, 2) };
         let residual = (0..8).map(|i| 10 * i - 30).collect();
-        SeenScan { motion: Motion::default(), window, drawn, model_depth: vec![7; 8], mask: mask.to_vec(), residual }
+        SeenScan { placed: Placed { window, ..Placed::default() }, drawn, model_depth: vec![7; 8], mask: mask.to_vec(), residual }
     }
 
     fn look(reference: &SeenScan, offset: [i32; 2]) -> (i32, Option<i64>) {
@@ -211,7 +211,7 @@ mod tests {
     fn a_block_is_looked_at_as_its_pixels_would_be() {
         let window = Window { width: 11, height: 9, offset: [0; 2] };
         let r = SeenScan {
-            window,
+            placed: Placed { window, ..Placed::default() },
             mask: (0..99).map(|i| i * i % 7 != 3).collect(),
             residual: (0..99).map(|i| i * 31 % 40).collect(),
             ..reference(&[])

@@ -76,7 +76,7 @@ pub fn decode_key(bytes: &[u8], scan: &SeenScan, model: &Model, before: Option<T
     let offsets = before.map(|b| offsets(scan, model, &[b.scan]));
     let sources = sources(before.as_slice(), offsets.as_deref().unwrap_or(&[]), &[WHOLE as u16]);
     let mut models = before.map(|b| b.chain.models.clone()).unwrap_or_default();
-    let size = [scan.window.width, scan.window.height];
+    let size = [scan.placed.window.width, scan.placed.window.height];
     let decoded = decode(bytes, (1, size), &scan.mask, &sources, &mut models)?;
     Ok(TextureChain { planes: Arc::new(decoded.planes), shifts: decoded.shifts, models })
 }
@@ -111,7 +111,7 @@ pub fn decode_between(
     let offsets = offsets_between(scan, model, keys, &weights);
     let sources = sources(keys, &offsets, &weights);
     let mut models = keys.last().map(|k| k.chain.models.clone()).unwrap_or_default();
-    let size = [scan.window.width, scan.window.height];
+    let size = [scan.placed.window.width, scan.placed.window.height];
     Ok(decode(bytes, (1, size), &scan.mask, &sources, &mut models)?.planes.to_grey())
 }
 

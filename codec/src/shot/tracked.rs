@@ -4,9 +4,9 @@ use super::UNITS_PER_MM;
 use super::bisection::Connectivity;
 use super::link::{KeyPicture, blended};
 use super::model::Model;
+use super::order::Placed;
 use super::seen_scan::SeenScan;
 use super::textures::TextureChain;
-use super::view::{PX_BITS, Seen};
 use crate::{GreyPicture, Result, Stamp};
 use glam::Vec3;
 use std::sync::Arc;
@@ -16,14 +16,18 @@ use std::sync::Arc;
 pub struct Shown {
     /// When it was taken.
     pub stamp: Stamp,
-    /// The scan.
-    pub scan: Arc<SeenScan>,
+    /// Where it is.
+    pub placed: Arc<Placed>,
+    /// The scan, decoded for scans alone.
+    pub scan: Option<Arc<SeenScan>>,
     /// Its model.
     pub model: Arc<Model>,
     /// Index of the group in which its shot began.
     pub shot: usize,
     /// Its texture, not yet decoded between keyframes.
     pub picture: Option<Picture>,
+    /// The keyframe whose texture the tracked mesh has.
+    pub key: Option<Arc<KeyPicture>>,
 }
 
 /// Texture of a scan.
@@ -45,26 +49,15 @@ impl Shown {
             None => Ok(None),
             Some(Picture::Key(chain)) => Ok(Some(chain.planes.to_grey())),
             Some(Picture::Between(bytes, keys)) => {
-                blended(bytes, keys, (self.stamp.tick, &self.scan), &self.model).map(Some)
+                let Some(scan) = &self.scan else { return Ok(None) };
+                blended(bytes, keys, (self.stamp.tick, scan), &self.model).map(Some)
             }
         }
     }
 
-    /// Texture coordinates of grid nodes in the scan's own picture.
-    pub fn uv(&self, nodes: &Connectivity) -> Vec<[f32; 2]> {
-        let view = self.model.view.moved(self.scan.window.offset);
-        let (width, height) = (self.scan.window.width as f32, self.scan.window.height as f32);
-        let uv = |p: &[i32; 3]| {
-            let seen = view.project(*p).unwrap_or(Seen::NOWHERE);
-            let [x, y] = [seen.x, seen.y].map(|v| v as f32 / f32::from(1_u16 << PX_BITS) + 0.5);
-            [x / width, 1.0 - y / height]
-        };
-        self.scan.motion.positions(&self.model.base, nodes).iter().map(uv).collect()
-    }
-
     /// Where the scan has grid nodes, mm.
     pub fn positions_mm(&self, nodes: &Connectivity) -> Vec<Vec3> {
-        let units = self.scan.motion.positions(&self.model.base, nodes);
+        let units = self.placed.motion.positions(&self.model.base, nodes);
         units.into_iter().map(|p| Vec3::from_array(p.map(|v| v as f32)) / UNITS_PER_MM as f32).collect()
     }
 }
