@@ -5,11 +5,21 @@
 
 use super::UNITS_PER_MM;
 use super::base::Base;
-use super::lattice::{FINE_SIDE, GRID_SIDE, LEVEL_SIDES};
+use super::lattice::{FINE_SIDE, GRID_CELLS, GRID_SIDE, LEVEL_SIDES};
 use glam::{DMat3, DVec3};
 
 /// Nodes that a node's basis function overlaps, a side.
 const STENCIL: usize = 7;
+
+/// Pairs of the four basis functions of a span, the earlier one first.
+const PAIRS: [[usize; 2]; 10] =
+    [[0, 0], [0, 1], [0, 2], [0, 3], [1, 1], [1, 2], [1, 3], [2, 2], [2, 3], [3, 3]];
+/// Where a pair stands among them.
+const PAIR_OF: [[usize; 4]; 4] = [[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]];
+/// Six sums for each pair along a row.
+const ROW_SUMS: usize = 6 * PAIRS.len();
+/// Those for each pair of rows.
+const CELL_SUMS: usize = ROW_SUMS * PAIRS.len();
 
 /// One equation: the displacement at a grid node along `direction` should be `distance_mm` more.
 #[derive(Debug, Clone, Copy)]
@@ -43,51 +53,70 @@ impl LevelSystem {
         &self.blocks[(node * STENCIL + dy) * STENCIL + dx]
     }
 
-    /// Adds `weight * direction directionᵀ` of each equation for all pairs of the 16 nodes around its point. Equations that
-    /// follow one another on a grid row within a span share their weights across it: their sums along it are taken first.
+    /// Adds `weight * direction directionᵀ` of each equation, in the order of their rows on the grid, for all pairs of the
+    /// 16 nodes around its point. Sums over the equations of a cell are taken first, row by row and then over its rows, and
+    /// given to the pairs of nodes once a cell.
     fn add_all(&mut self, equations: &[Equation]) {
+        let spans = self.side - 3;
+        let mut cells = vec![[0.0; CELL_SUMS]; spans];
+        let mut is_used = vec![false; spans];
+        let mut rest = equations;
+        while let Some(first) = rest.first() {
+            let (sy, _) = self.axis(first.grid[1]);
+            let count = rest.iter().position(|e| self.axis(e.grid[1]).0 != sy).unwrap_or(rest.len());
+            self.add_to_cells(&rest[..count], &mut cells, &mut is_used);
+            for sx in (0..spans).filter(|sx| is_used[*sx]) {
+                self.add_cell(sy * self.side + sx, &cells[sx]);
+                cells[sx].fill(0.0);
+            }
+            is_used.fill(false);
+            rest = &rest[count..];
+        }
+    }
+
+    /// Adds equations of one span of rows to the sums of its cells.
+    fn add_to_cells(&self, equations: &[Equation], cells: &mut [[f32; CELL_SUMS]], is_used: &mut [bool]) {
         let mut rest = equations;
         while let Some(first) = rest.first() {
             let (sx, _) = self.axis(first.grid[0]);
             let is_beside = |e: &Equation| e.grid[1] == first.grid[1] && self.axis(e.grid[0]).0 == sx;
             let count = rest.iter().position(|e| !is_beside(e)).unwrap_or(rest.len());
-            let mut along = [[[0.0; 6]; 4]; 4];
+            let mut along = [0.0; ROW_SUMS];
             for e in &rest[..count] {
                 self.add_along(e, &mut along);
             }
-            let (sy, wy) = self.axis(first.grid[1]);
-            self.add_run(sy * self.side + sx, wy.map(|w| w as f32), &along);
+            let (_, wy) = self.axis(first.grid[1]);
+            for (sums, [j, jj]) in cells[sx].chunks_exact_mut(ROW_SUMS).zip(PAIRS) {
+                let w = (wy[j] * wy[jj]) as f32;
+                sums.iter_mut().zip(&along).for_each(|(sum, a)| *sum += a * w);
+            }
+            is_used[sx] = true;
             rest = &rest[count..];
         }
     }
 
-    /// Adds an equation to the sums of a run, weighted along the row alone, pairs `i <= ii`.
-    fn add_along(&self, e: &Equation, along: &mut [[[f32; 6]; 4]; 4]) {
+    /// Adds an equation to the sums of a row of a cell, weighted along the row alone.
+    fn add_along(&self, e: &Equation, along: &mut [f32; ROW_SUMS]) {
         let (_, wx) = self.axis(e.grid[0]);
         let (d, u) = (e.direction * e.weight, e.direction);
         let outer = [d.x * u.x, d.x * u.y, d.x * u.z, d.y * u.y, d.y * u.z, d.z * u.z].map(|v| v as f32);
-        for (i, a) in wx.iter().enumerate() {
-            for (ii, b) in wx.iter().enumerate().skip(i) {
-                let w = (a * b) as f32;
-                for (sum, o) in along[i][ii].iter_mut().zip(&outer) {
-                    *sum += o * w;
-                }
-            }
+        for (sums, [i, ii]) in along.chunks_exact_mut(6).zip(PAIRS) {
+            let w = (wx[i] * wx[ii]) as f32;
+            sums.iter_mut().zip(outer).for_each(|(sum, o)| *sum += o * w);
         }
     }
 
-    /// Adds a run to the blocks of its 16 nodes, the first of them `corner`; of each pair of nodes to the earlier one.
-    fn add_run(&mut self, corner: usize, wy: [f32; 4], along: &[[[f32; 6]; 4]; 4]) {
-        for (j, i) in (0..4).flat_map(|j| (0..4).map(move |i| (j, i))) {
-            let node = corner + j * self.side + i;
-            for (jj, b) in wy.iter().enumerate().skip(j) {
-                let w = wy[j] * b;
+    /// Adds the sums of a cell to the blocks of its 16 nodes, the first of them `corner`; of each pair of nodes to the
+    /// earlier one.
+    fn add_cell(&mut self, corner: usize, sums: &[f32; CELL_SUMS]) {
+        for (sums, [j, jj]) in sums.chunks_exact(ROW_SUMS).zip(PAIRS) {
+            for i in 0..4 {
+                let node = corner + j * self.side + i;
                 let row = (node * STENCIL + jj + 3 - j) * STENCIL + 3 - i;
-                let first = if jj == j { i } else { 0 };
-                for ii in first..4 {
-                    for (block, sum) in self.blocks[row + ii].iter_mut().zip(&along[i.min(ii)][i.max(ii)]) {
-                        *block += sum * w;
-                    }
+                for ii in if jj == j { i } else { 0 }..4 {
+                    let pair = 6 * PAIR_OF[i.min(ii)][i.max(ii)];
+                    let block = &mut self.blocks[row + ii];
+                    block.iter_mut().zip(&sums[pair..pair + 6]).for_each(|(b, s)| *b += s);
                 }
             }
         }
@@ -109,14 +138,14 @@ impl LevelSystem {
     }
 
     fn axis(&self, grid: f64) -> (usize, [f64; 4]) {
-        let cells = 256.0 / (self.side - 3) as f64;
-        let span = ((grid / cells) as usize).min(self.side - 4);
-        let t = grid / cells - span as f64;
+        let at = grid * ((self.side - 3) as f64 / GRID_CELLS as f64);
+        let span = (at as usize).min(self.side - 4);
+        let t = at - span as f64;
         let q = 1.0 - t;
         (
             span,
             [q * q * q, 3.0 * t * t * t - 6.0 * t * t + 4.0, 3.0 * q * q * q - 6.0 * q * q + 4.0, t * t * t]
-                .map(|w| w / 6.0),
+                .map(|w| w * (1.0 / 6.0)),
         )
     }
 
@@ -220,7 +249,7 @@ fn spread(k: usize, mut f: impl FnMut(usize, f64)) {
     }
 }
 
-/// The systems of all levels.
+/// The systems of all levels; quick when equations come in the order of their rows on the grid.
 pub fn systems(equations: &[Equation], bending: f32, pull: f32) -> [LevelSystem; 3] {
     LEVEL_SIDES.map(|side| {
         let mut system = LevelSystem::new(side);

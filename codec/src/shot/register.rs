@@ -210,12 +210,14 @@ fn solve(mut system: [[f64; 7]; 6]) -> [f64; 6] {
     system.map(|line| line[6])
 }
 
+/// What the hits ask of the lattice, in the order of grid rows.
 fn equations(hits: &[Hit], now: &Motion, predicted: &Motion) -> Vec<Equation> {
     // Rows as columns: the inverse rotation.
     let back = DMat3::from_cols_array_2d(&now.pose.matrix().rotation());
     let moved: Nodes =
         now.nodes.iter().zip(&predicted.nodes).map(|(n, p)| [n[0] - p[0], n[1] - p[1], n[2] - p[2]]).collect();
-    hits.iter()
+    let mut equations: Vec<Equation> = hits
+        .iter()
         .map(|hit| {
             let direction = back * hit.normal;
             let already = displacement_at_mm(&moved, hit.grid);
@@ -226,7 +228,9 @@ fn equations(hits: &[Hit], now: &Motion, predicted: &Motion) -> Vec<Equation> {
                 weight: hit.weight,
             }
         })
-        .collect()
+        .collect();
+    equations.sort_by(|a, b| a.grid[1].total_cmp(&b.grid[1]).then(a.grid[0].total_cmp(&b.grid[0])));
+    equations
 }
 
 /// Coarse to fine: each level takes what the finer ones need not.

@@ -14,6 +14,9 @@ const LEAST_EDGE_STEP: i32 = 3 * UNITS_PER_MM;
 /// Vertices within this of a pixel centre (1/256 px) count as that pixel.
 const CENTRE_TOLERANCE: i32 = 16;
 
+/// Normals are taken over so many pixels either side.
+const REACH_PX: i32 = 2;
+
 /// Depths of a scan on the pixels of a view.
 #[derive(Debug, Clone)]
 pub struct ScanImage {
@@ -124,13 +127,26 @@ impl ScanImage {
     pub fn depth_at(&self, x: i32, y: i32, step_limit: i32) -> Option<f64> {
         let (px, py) = (x >> PX_BITS, y >> PX_BITS);
         let d = [self.at(px, py)?, self.at(px + 1, py)?, self.at(px, py + 1)?, self.at(px + 1, py + 1)?];
-        if d.iter().max()? - d.iter().min()? > step_limit {
-            return None;
+        bilinear(d, weights(x, y), step_limit)
+    }
+
+    /// As [`Self::depth_at`] at the position and two pixels to the left, right, above and below.
+    fn depth_around(&self, x: i32, y: i32, step_limit: i32) -> Option<[Option<f64>; 5]> {
+        const AROUND: [[i32; 2]; 5] = [[0, 0], [-REACH_PX, 0], [REACH_PX, 0], [0, -REACH_PX], [0, REACH_PX]];
+        let (px, py) = (x >> PX_BITS, y >> PX_BITS);
+        let (width, height) = (self.window.width as i32, self.window.height as i32);
+        let is_inside = px >= REACH_PX && py >= REACH_PX && px + REACH_PX + 1 < width && py + REACH_PX + 1 < height;
+        if !is_inside {
+            let depth = |[dx, dy]: [i32; 2]| self.depth_at(x + (dx << PX_BITS), y + (dy << PX_BITS), step_limit);
+            return depth([0, 0]).map(|_| AROUND.map(depth));
         }
-        let fraction = |v: i32| f64::from(v & 255) / 256.0;
-        let (fx, fy) = (fraction(x), fraction(y));
-        let d = d.map(f64::from);
-        Some((d[0] * (1.0 - fx) + d[1] * fx) * (1.0 - fy) + (d[2] * (1.0 - fx) + d[3] * fx) * fy)
+        let weights = weights(x, y);
+        let depth = |[dx, dy]: [i32; 2]| {
+            let at = ((py + dy) * width + px + dx) as usize;
+            let (upper, lower) = (&self.depth[at..at + 2], &self.depth[at + width as usize..at + width as usize + 2]);
+            bilinear([upper[0], upper[1], lower[0], lower[1]], weights, step_limit)
+        };
+        depth([0, 0]).map(|_| AROUND.map(depth))
     }
 
     /// Point (mm) under a picture position in 1/256 px at a depth in units.
@@ -140,23 +156,37 @@ impl ScanImage {
 
     /// Surface under a picture position in 1/256 px, its normal over two pixels either side.
     pub fn sample(&self, x: i32, y: i32, step_limit: i32) -> Option<Sample> {
-        let reach = 2 << PX_BITS;
-        let depth = |dx: i32, dy: i32| self.depth_at(x + dx, y + dy, step_limit);
-        let centre = depth(0, 0)?;
+        let [centre, left, right, above, below] = self.depth_around(x, y, step_limit)?;
+        let centre = centre?;
         let slope = |a: Option<f64>, b: Option<f64>| match (a, b) {
             (Some(a), Some(b)) => Some((b - a) / 2.0),
             (Some(a), None) => Some(centre - a),
             (None, Some(b)) => Some(b - centre),
             _ => None,
         };
-        let sx = slope(depth(-reach, 0), depth(reach, 0))?;
-        let sy = slope(depth(0, -reach), depth(0, reach))?;
-        let point_mm = self.point_mm(x, y, centre);
-        let u = self.point_mm(x + reach, y, centre + sx) - point_mm;
-        let v = self.point_mm(x, y + reach, centre + sy) - point_mm;
+        let (sx, sy) = (slope(left, right)?, slope(above, below)?);
+        let (x_px, y_px, reach) = (f64::from(x) / 256.0, f64::from(y) / 256.0, f64::from(REACH_PX));
+        let row = self.back.row(y_px);
+        let point_mm = row.point_mm(x_px, centre);
+        let u = row.point_mm(x_px + reach, centre + sx) - point_mm;
+        let v = self.back.point_mm(x_px, y_px + reach, centre + sy) - point_mm;
         // Rows go down: v x u looks at the camera.
         Some(Sample { point_mm, normal: v.cross(u).normalize_or_zero() })
     }
+}
+
+/// Weights of four pixels around a position in 1/256 px.
+fn weights(x: i32, y: i32) -> [f64; 4] {
+    let fraction = |v: i32| f64::from(v & 255) / 256.0;
+    let (fx, fy) = (fraction(x), fraction(y));
+    [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy]
+}
+
+/// Weighted sum of four depths that are on the surface within `step_limit` of each other.
+fn bilinear(d: [i32; 4], weights: [f64; 4], step_limit: i32) -> Option<f64> {
+    let (least, most) = (d[0].min(d[1]).min(d[2]).min(d[3]), d[0].max(d[1]).max(d[2]).max(d[3]));
+    let is_surface = most != NOTHING && most - least <= step_limit;
+    is_surface.then(|| d.iter().zip(weights).map(|(d, w)| f64::from(*d) * w).sum())
 }
 
 fn on_centres(seen: &[Option<Seen>], width: usize, height: usize) -> Option<Vec<i32>> {
