@@ -31,11 +31,13 @@ pub struct FlowOptions {
     pub max_backward_px: f32,
     /// Least zero-mean normalised cross-correlation of the two windows.
     pub min_zncc: f32,
+    /// A point that went where it was expected and correlates like this need not be followed back.
+    pub sure_zncc: f32,
 }
 
 impl Default for FlowOptions {
     fn default() -> Self {
-        Self { window_px: 15, levels: 3, max_iterations: 12, epsilon_px: 0.03, max_backward_px: 0.5, min_zncc: 0.75 }
+        Self { window_px: 15, levels: 3, max_iterations: 12, epsilon_px: 0.03, max_backward_px: 0.5, min_zncc: 0.75, sure_zncc: 0.9 }
     }
 }
 
@@ -58,15 +60,19 @@ pub(super) fn follow_from(
 ) -> Vec<Option<[f32; 2]>> {
     assert!(options.levels > 0, "flow needs a pyramid level");
     let mut search = Search::new(options);
-    let mut checked = |point: [f32; 2], levels: u32, step: [f32; 2]| {
-        let there = search.track(from, to, point, levels, step)?;
-        let back = search.track(to, from, there, levels, step.map(|s| -s))?;
+    let mut checked = |point: [f32; 2], levels: u32, step: Option<[f32; 2]>| {
+        let there = search.track(from, to, point, levels, step.unwrap_or_default())?;
+        let likeness = zncc(from.finest(), point, to.finest(), there, options.window_px);
+        if step.is_some() && likeness >= options.sure_zncc {
+            return Some(there);
+        }
+        let back = search.track(to, from, there, levels, step.map_or([0.0; 2], |s| s.map(|s| -s)))?;
         let home = libm::hypotf(back[0] - point[0], back[1] - point[1]) <= options.max_backward_px;
-        (home && zncc(from.finest(), point, to.finest(), there, options.window_px) >= options.min_zncc).then_some(there)
+        (home && likeness >= options.min_zncc).then_some(there)
     };
     let mut one = |&(point, step): &([f32; 2], Option<[f32; 2]>)| {
-        let expected = step.and_then(|step| checked(point, options.levels.min(EXPECTED_LEVELS), step));
-        expected.or_else(|| checked(point, options.levels, [0.0; 2]))
+        let expected = step.and_then(|_| checked(point, options.levels.min(EXPECTED_LEVELS), step));
+        expected.or_else(|| checked(point, options.levels, None))
     };
     points.iter().map(&mut one).collect()
 }
