@@ -65,23 +65,40 @@ pub fn forward(block: &[f32; AREA]) -> [f32; AREA] {
     out
 }
 
+/// Pixels of each coefficient alone, of the size of a step.
+pub const BASIS: [[f32; AREA]; AREA] = basis();
+
+const fn basis() -> [[f32; AREA]; AREA] {
+    let mut table = [[0.0; AREA]; AREA];
+    let mut k = 0;
+    while k < AREA {
+        let mut p = 0;
+        while p < AREA {
+            let product = MATRIX[k / SIDE][p / SIDE] * MATRIX[k % SIDE][p % SIDE];
+            table[k][p] = product as f32 / (1 << 15) as f32;
+            p += 1;
+        }
+        k += 1;
+    }
+    table
+}
+
 /// Pixels of a block from its coefficients in steps of `step`.
 pub fn inverse(levels: &[i32; AREA], step: i32) -> [i32; AREA] {
-    let mut columns = [0_i64; AREA];
-    for x in 0..SIDE {
-        for y in 0..SIDE {
-            columns[y * SIDE + x] =
-                (0..SIDE).map(|k| i64::from(levels[k * SIDE + x]) * i64::from(step) * i64::from(MATRIX[k][y])).sum();
+    let mut columns = [[0_i64; SIDE]; SIDE];
+    for (k, level) in levels.iter().enumerate().filter(|(_, level)| **level != 0) {
+        let scaled = i64::from(*level) * i64::from(step);
+        for (value, m) in columns[k % SIDE].iter_mut().zip(&MATRIX[k / SIDE]) {
+            *value += scaled * i64::from(*m);
         }
     }
-    let mut out = [0; AREA];
-    for y in 0..SIDE {
-        for x in 0..SIDE {
-            let sum: i64 = (0..SIDE).map(|k| columns[y * SIDE + k] * i64::from(MATRIX[k][x])).sum();
-            out[y * SIDE + x] = ((sum + (1 << 14)) >> 15) as i32;
+    let mut out = [1_i64 << 14; AREA];
+    for (column, row) in columns.iter().zip(&MATRIX).filter(|(column, _)| column.iter().any(|v| *v != 0)) {
+        for (value, out) in column.iter().zip(out.chunks_exact_mut(SIDE)) {
+            out.iter_mut().zip(row).for_each(|(o, m)| *o += value * i64::from(*m));
         }
     }
-    out
+    out.map(|sum| (sum >> 15) as i32)
 }
 
 /// What the coder has learned of coefficients.

@@ -33,7 +33,7 @@ pub fn encode(
     bound: Option<i32>,
     (out, models): (&mut RangeEncoder, &mut OutlierModels),
 ) {
-    let bound = bound.unwrap_or(i32::MAX).max(1);
+    let Some(bound) = bound.map(|b| b.max(1)) else { return out.wide(&mut models.count, 0) };
     let far = |i: usize| (f64::from(wanted[i]) - f64::from(values[i])).powi(2) * f64::from(across[i]);
     let limit = f64::from(bound).powi(2);
     let found: Vec<usize> = (0..mask.len()).filter(|&i| mask[i] && far(i) > limit).collect();

@@ -1,6 +1,6 @@
 //! 8x8 blocks of what prediction misses, inside a mask, where they are worth their bits.
 
-use super::block_transform::{AREA, BlockModels, SIDE, ZIGZAG, forward, inverse};
+use super::block_transform::{AREA, BASIS, BlockModels, SIDE, ZIGZAG, forward, inverse};
 use crate::Result;
 use crate::bits::range_coder::{BitModel, RangeDecoder, RangeEncoder};
 
@@ -175,9 +175,19 @@ impl Block {
         if without <= options.lambda * LEAST_BITS + worth {
             return None;
         }
-        let mut levels = self.quantize(options.step);
-        let price = |l: &[i32; AREA]| self.error(&inverse(l, options.step)) + options.lambda * models.bits(l);
-        let mut now = price(&levels);
+        let levels = self.lowered(self.quantize(options.step), models, options);
+        let is_worth = || {
+            let error = self.error(&inverse(&levels, options.step));
+            error + options.lambda * models.bits(&levels) + worth < without
+        };
+        (levels.iter().any(|l| *l != 0) && is_worth()).then_some(levels)
+    }
+
+    /// Levels, the last one first, at zero or one nearer to it where that costs less than it saves.
+    fn lowered(&self, mut levels: [i32; AREA], models: &BlockModels, options: PatchOptions) -> [i32; AREA] {
+        let coded = inverse(&levels, options.step);
+        let mut rest: [f32; AREA] = std::array::from_fn(|p| self.missing[p] - coded[p] as f32);
+        let mut bits = models.bits(&levels);
         for k in ZIGZAG.iter().rev().map(|k| usize::from(*k)) {
             let kept = levels[k];
             if kept == 0 {
@@ -185,15 +195,30 @@ impl Block {
             }
             for tried in [0, kept - kept.signum()] {
                 let before = std::mem::replace(&mut levels[k], tried);
-                let cost = price(&levels);
-                if cost < now {
-                    now = cost;
+                let step = ((tried - before) * options.step) as f32;
+                let cost = models.bits(&levels);
+                if self.change(&rest, &BASIS[k], step) + options.lambda * (cost - bits) < 0.0 {
+                    bits = cost;
+                    rest.iter_mut().zip(&BASIS[k]).for_each(|(r, b)| *r -= step * b);
                 } else {
                     levels[k] = before;
                 }
             }
         }
-        (levels.iter().any(|l| *l != 0) && now + worth < without).then_some(levels)
+        levels
+    }
+
+    /// What the squared error of `rest` grows by when `step` times a picture is taken off it.
+    fn change(&self, rest: &[f32; AREA], picture: &[f32; AREA], step: f32) -> f32 {
+        let mut sums = [0.0; SIDE];
+        let rows = rest.chunks_exact(SIDE).zip(picture.chunks_exact(SIDE)).zip(self.weight.chunks_exact(SIDE));
+        for ((rest, picture), weight) in rows {
+            for i in 0..SIDE {
+                let by = step * picture[i];
+                sums[i] += weight[i] * by * (by - 2.0 * rest[i]);
+            }
+        }
+        sums.iter().sum()
     }
 
     /// Levels of the block whose pixels off the mask are free: they follow what is coded for the others (projection onto

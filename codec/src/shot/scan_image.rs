@@ -39,12 +39,12 @@ pub struct Sample {
 impl ScanImage {
     /// Draws a scan. A mesh whose vertices lie on pixel centres, as a scanner's do, is taken over pixel by pixel.
     pub fn new(scan: &Scan, view: &View, window: Window) -> Self {
-        let (view, Window { width, height, .. }) = (view.moved(window.offset), window);
-        let to_units = |v: f32| (f64::from(v) * f64::from(UNITS_PER_MM)).round() as i32;
-        let seen: Vec<Option<Seen>> =
-            scan.mesh.positions_mm.iter().map(|p| view.project(p.to_array().map(to_units))).collect();
-        let depth = on_centres(&seen, width, height).unwrap_or_else(|| {
-            let mut picture = DepthPicture::new(width, height);
+        let view = view.moved(window.offset);
+        let depth = on_centres(scan, &view, window).unwrap_or_else(|| {
+            let to_units = |v: f32| (f64::from(v) * f64::from(UNITS_PER_MM)).round() as i32;
+            let seen: Vec<Option<Seen>> =
+                scan.mesh.positions_mm.iter().map(|p| view.project(p.to_array().map(to_units))).collect();
+            let mut picture = DepthPicture::new(window.width, window.height);
             for (i, t) in scan.mesh.triangles.iter().enumerate() {
                 if let [Some(a), Some(b), Some(c)] = t.map(|v| seen[v as usize]) {
                     picture.draw(i as u32, [a, b, c]);
@@ -189,17 +189,29 @@ fn bilinear(d: [i32; 4], weights: [f64; 4], step_limit: i32) -> Option<f64> {
     is_surface.then(|| d.iter().zip(weights).map(|(d, w)| f64::from(*d) * w).sum())
 }
 
-fn on_centres(seen: &[Option<Seen>], width: usize, height: usize) -> Option<Vec<i32>> {
-    let mut depth = vec![NOTHING; width * height];
-    for s in seen.iter().flatten() {
-        let (x, y) = ((s.x + 128) >> PX_BITS, (s.y + 128) >> PX_BITS);
-        let near = |v: i32, p: i32| (v - (p << PX_BITS)).abs() <= CENTRE_TOLERANCE;
-        let inside = x >= 0 && y >= 0 && (x as usize) < width && (y as usize) < height;
-        if !(near(s.x, x) && near(s.y, y) && inside) {
+/// Depths of a scan whose vertices all lie on centres of pixels; `None` for any other.
+fn on_centres(scan: &Scan, view: &View, window: Window) -> Option<Vec<i32>> {
+    let units = f64::from(UNITS_PER_MM);
+    let vector = |r: &[i64]| DVec3::new(r[0] as f64, r[1] as f64, r[2] as f64) * units;
+    let [across, down, away] = [0, 1, 2].map(|r| (vector(&view.rows[r]), view.rows[r][3] as f64));
+    let axis = view.back_projection();
+    let tolerance = f64::from(CENTRE_TOLERANCE) / 256.0;
+    let (width, height) = (window.width as f64, window.height as f64);
+    let mut depth = vec![NOTHING; window.width * window.height];
+    for p in scan.mesh.positions_mm.iter().map(|p| p.as_dvec3()) {
+        let divisor = away.0.dot(p) + away.1;
+        let by = 1.0 / divisor;
+        let [x, y] = [across, down].map(|(row, constant)| (row.dot(p) + constant) * by);
+        // Halves up, without the library's rounding.
+        let [px, py] = [x, y].map(|v| (v + 0.5).floor());
+        let is_near = (x - px).abs() <= tolerance && (y - py).abs() <= tolerance;
+        let is_inside = px >= 0.0 && py >= 0.0 && px < width && py < height;
+        if !(divisor > 0.0 && is_near && is_inside) {
             return None;
         }
-        let at = y as usize * width + x as usize;
-        depth[at] = depth[at].min(s.depth);
+        let at = py as usize * window.width + px as usize;
+        depth[at] = depth[at].min((axis.depth_of(p) + 0.5).floor() as i32);
     }
     Some(depth)
 }
+
