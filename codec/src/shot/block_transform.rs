@@ -175,25 +175,35 @@ impl BlockModels {
     /// Expected cost of levels, bits.
     pub fn bits(&self, levels: &[i32; AREA]) -> f32 {
         let Some(last) = (0..AREA).rev().find(|i| levels[ZIGZAG[*i] as usize] != 0) else { return 0.0 };
-        let mut cost = 0;
-        for i in 0..=last {
-            let v = levels[ZIGZAG[i] as usize];
-            cost += self.significant[i].cost(v != 0);
-            if v != 0 {
-                let models = &self.magnitude[band(i)];
-                let steps = v.unsigned_abs() - 1;
-                for s in 0..steps.min(14) {
-                    cost += models[(s as usize).min(5)].cost(true);
-                }
-                cost += if steps < 14 {
-                    models[(steps as usize).min(5)].cost(false)
-                } else {
-                    512 * (steps - 13).ilog2() + 256
-                };
-                cost += 256 + self.last[i].cost(i == last);
-            }
-        }
+        let cost: u32 = (0..=last).map(|i| self.cost(i, levels[ZIGZAG[i] as usize], i == last)).sum();
         cost as f32 / 256.0
+    }
+
+    /// Puts `level` in the place of that at zigzag position `i`, which is not zero; what the levels cost more then, bits.
+    pub fn more_bits(&self, levels: &mut [i32; AREA], i: usize, level: i32) -> f32 {
+        let at = ZIGZAG[i] as usize;
+        let is_last = ZIGZAG[i + 1..].iter().all(|k| levels[*k as usize] == 0);
+        if is_last && level == 0 {
+            let before = self.bits(levels);
+            levels[at] = level;
+            return self.bits(levels) - before;
+        }
+        let [before, after] = [std::mem::replace(&mut levels[at], level), level].map(|v| self.cost(i, v, is_last));
+        (after as f32 - before as f32) / 256.0
+    }
+
+    /// Expected cost of the level at a zigzag position, 1/256 bit.
+    fn cost(&self, i: usize, level: i32, is_last: bool) -> u32 {
+        let significant = self.significant[i].cost(level != 0);
+        if level == 0 {
+            return significant;
+        }
+        let models = &self.magnitude[band(i)];
+        let steps = level.unsigned_abs() - 1;
+        let more: u32 = (0..steps.min(14)).map(|s| models[(s as usize).min(5)].cost(true)).sum();
+        let end =
+            if steps < 14 { models[(steps as usize).min(5)].cost(false) } else { 512 * (steps - 13).ilog2() + 256 };
+        significant + more + end + 256 + self.last[i].cost(is_last)
     }
 }
 

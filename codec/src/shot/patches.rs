@@ -187,22 +187,19 @@ impl Block {
     fn lowered(&self, mut levels: [i32; AREA], models: &BlockModels, options: PatchOptions) -> [i32; AREA] {
         let coded = inverse(&levels, options.step);
         let mut rest: [f32; AREA] = std::array::from_fn(|p| self.missing[p] - coded[p] as f32);
-        let mut bits = models.bits(&levels);
-        for k in ZIGZAG.iter().rev().map(|k| usize::from(*k)) {
+        for (i, k) in ZIGZAG.iter().map(|k| usize::from(*k)).enumerate().rev() {
             let kept = levels[k];
             if kept == 0 {
                 continue;
             }
             for tried in [0, kept - kept.signum()] {
-                let before = std::mem::replace(&mut levels[k], tried);
-                let step = ((tried - before) * options.step) as f32;
-                let cost = models.bits(&levels);
-                if self.change(&rest, &BASIS[k], step) + options.lambda * (cost - bits) < 0.0 {
-                    bits = cost;
+                let step = ((tried - kept) * options.step) as f32;
+                let more = models.more_bits(&mut levels, i, tried);
+                if self.change(&rest, &BASIS[k], step) + options.lambda * more < 0.0 {
                     rest.iter_mut().zip(&BASIS[k]).for_each(|(r, b)| *r -= step * b);
-                } else {
-                    levels[k] = before;
+                    break;
                 }
+                levels[k] = kept;
             }
         }
         levels
