@@ -92,7 +92,7 @@ fn bench(c: &mut Criterion) {
     let camera = ShotCamera::of(&scans[1]).expect("texture coordinates show a camera");
     let window = camera.window(&scans[1]).expect("it sees its scan");
     let image = ScanImage::new(&scans[1], &before.model.view, window);
-    let still = &before.keys.scans[&0].motion;
+    let still = &before.keys.scans[&0].placed.motion;
 
     let mut group = c.benchmark_group(format!("shot of {} pixels", scans[0].mesh.vertex_count()));
     group.sample_size(20);

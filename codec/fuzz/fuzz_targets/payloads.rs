@@ -6,7 +6,7 @@ use gv3_codec::shot::group::Parts;
 use gv3_codec::shot::link::Link;
 use gv3_codec::shot::steps::Steps;
 use gv3_codec::shot::textures::Pictures;
-use gv3_codec::texture::coded::{self, Models, Planes, Source};
+use gv3_codec::texture::coded::{self, Models, Offsets, Planes, Source};
 use gv3_codec::texture::{MAX_SIDE_PX, decode_key_texture};
 use gv3_codec::{Mode, Result, StreamHeader};
 use std::sync::LazyLock;
@@ -88,9 +88,10 @@ fn decode(index: usize, group: &[u8], textures: Option<&[u8]>, before: Option<&L
     let pictures = textures.map(|t| Pictures::read(t, parts.stamps.len() - 1)).transpose()?;
     let after = Link::after(&parts, pictures.as_ref(), before, index, &steps)?;
     for shown in after.show(&parts, pictures.as_ref(), before, &steps)? {
-        let pixels = shown.scan.window.width * shown.scan.window.height;
-        assert!(shown.scan.mask.len() == pixels && shown.scan.residual.len() == pixels);
-        assert!(shown.scan.motion.in_range() && (0..pixels).all(|i| shown.scan.depth(i).abs() <= 1 << 25));
+        let Some(scan) = &shown.scan else { unreachable!("scans are decoded") };
+        let pixels = scan.placed.window.width * scan.placed.window.height;
+        assert!(scan.mask.len() == pixels && scan.residual.len() == pixels);
+        assert!(scan.placed.motion.in_range() && (0..pixels).all(|i| scan.depth(i).abs() <= 1 << 25));
         if let Some(picture) = shown.texture()? {
             assert_eq!(picture.pixels.len(), pixels);
         }

@@ -127,7 +127,7 @@ mod tests {
                 let mut motion = Motion::default();
                 motion.pose.shift[0] = a * (k * gap) as i32;
                 motion.nodes[7][2] = -3 * a * (k * gap) as i32;
-                decoded.motions.insert(k * gap, motion);
+                decoded.placed.insert(k * gap, Placed { motion, ..Placed::default() });
             }
             let tick = at.min(2 * gap);
             let predicted = decoded.predict(tick).unwrap().unwrap();
@@ -142,7 +142,7 @@ mod tests {
         assert!(decoded.predict(4).unwrap().is_none() && decoded.references(4).is_empty());
         let mut motion = Motion::default();
         motion.pose.turn = [1, 2, 3];
-        decoded.motions.insert(3, motion.clone());
+        decoded.placed.insert(3, Placed { motion: motion.clone(), ..Placed::default() });
         assert_eq!(decoded.predict(9).unwrap().unwrap(), motion);
     }
 }

@@ -122,7 +122,7 @@ impl Symbols {
     /// A mask of the window of the chain's keyframe, expected from the model that has not moved.
     pub fn mask(mut self, chain: &Chain, mask: &[bool]) -> Self {
         let key = &chain.keys.scans[&chain.key_tick];
-        let drawn = Drawn::new(&chain.model, &Motion::default(), &key.window);
+        let drawn = Drawn::new(&chain.model, &Motion::default(), &key.placed.window);
         let expected = Expected::new(&chain.model, &drawn, &[]);
         mask::encode(mask, &expected.mask, &mut self.0, &mut MaskModels::default());
         self
@@ -214,12 +214,12 @@ fn invalid_keys(chain: &Chain) -> Vec<(&'static str, Payload, &'static str)> {
     let first = |s: Symbols| changed(0, |g| g.key = s.section());
     let sized = |width: u32, height: u32| Symbols::default().bits(&[true]).wide(12, &[width, height]);
     let key = &chain.keys.scans[&chain.key_tick];
-    let placed = || sized(key.window.width as u32, key.window.height as u32);
+    let placed = || sized(key.placed.window.width as u32, key.placed.window.height as u32);
     let still = || placed().wide(24, &[0, 0]);
     let posed = || (0..2).fold(still(), |s, _| s.numbers(8, &[0, 0, 0]));
     let unmoved = || posed().bits(&[false; 3]);
     let mut one = vec![false; key.mask.len()];
-    one[20 * key.window.width + 24] = true;
+    one[20 * key.placed.window.width + 24] = true;
     let none = vec![false; key.mask.len()];
     let mut more = Shots::of_run(1).key;
     more.extend([0x55; 5]);

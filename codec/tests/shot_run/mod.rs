@@ -98,12 +98,12 @@ fn describe_model(out: &mut String, model: &Model) {
 }
 
 fn describe_scan(out: &mut String, stamp: Stamp, scan: &SeenScan) {
-    let (w, pose) = (scan.window, scan.motion.pose);
+    let (w, pose) = (scan.placed.window, scan.placed.motion.pose);
     writeln!(out, "scan tick {} time_nanos {}", stamp.tick, stamp.time_nanos).unwrap();
     writeln!(out, "  window {} {} offset {} {}", w.width, w.height, w.offset[0], w.offset[1]).unwrap();
     let [[a, b, c], [x, y, z]] = [pose.turn, pose.shift];
     writeln!(out, "  turn {a} {b} {c} shift {x} {y} {z}").unwrap();
-    writeln!(out, "  lattice {:08x}", crc(scan.motion.nodes.iter().flatten().copied())).unwrap();
+    writeln!(out, "  lattice {:08x}", crc(scan.placed.motion.nodes.iter().flatten().copied())).unwrap();
     let seen = scan.drawn.seen.iter().flat_map(|s| [s.x, s.y, s.depth]);
     writeln!(out, "  seen {:08x} drawn {:08x}", crc(seen), crc(scan.drawn.picture.depth.iter().copied())).unwrap();
     let count = scan.mask.iter().filter(|m| **m).count();
