@@ -7,6 +7,7 @@ use gv3_codec::shot::encoder::ShotConfig;
 use gv3_codec::shot::group::{Parts, Start};
 use gv3_codec::shot::link::Link;
 use gv3_codec::shot::scan_image::ScanImage;
+use gv3_codec::shot::seen_scan::SeenScan;
 use gv3_codec::shot::tracked::Shown;
 use gv3_codec::{EncoderConfig, Output, Player, Scan};
 use gv3_tests::coded_run::CodedRun;
@@ -47,6 +48,26 @@ static DECODED: LazyLock<Vec<Shown>> = LazyLock::new(|| {
     scans
 });
 
+fn scan_of(shown: &Shown) -> &SeenScan {
+    shown.scan.as_deref().expect("scans were decoded")
+}
+
+#[test]
+fn places_alone_are_those_of_the_scans() {
+    let steps = RUN.header.steps().unwrap();
+    let (mut before, mut placed) = (None, Vec::new());
+    for (i, group) in RUN.groups.iter().enumerate() {
+        let parts = Parts::read(&RUN.header, &group.geometry).unwrap();
+        let after = Link::after(&parts, None, before.as_ref(), i, &steps).unwrap();
+        placed.extend(after.show_places(&parts, before.as_ref(), &steps).unwrap());
+        before = Some(after);
+    }
+    assert_eq!(placed.len(), DECODED.len());
+    for (a, b) in placed.iter().zip(DECODED.iter()) {
+        assert_eq!((a.stamp, a.shot, &a.placed), (b.stamp, b.shot, &b.placed));
+    }
+}
+
 fn starts() -> Vec<Start> {
     RUN.groups.iter().map(|g| Parts::read(&RUN.header, &g.geometry).unwrap().start).collect()
 }
@@ -76,17 +97,18 @@ fn what_is_played_is_what_is_decoded() {
     for shown in DECODED.iter() {
         let played = mesh_at(&mut player, shown.stamp.time_nanos);
         assert_eq!(played.tick, shown.stamp.tick);
-        assert!(played.mesh == as_scan(&shown.model, &shown.scan), "tick {}", played.tick);
+        assert!(played.mesh == as_scan(&shown.model, scan_of(shown)), "tick {}", played.tick);
     }
 }
 
 #[test]
 fn every_pixel_keeps_the_bound_and_none_is_missing_or_invented() {
     for shown in DECODED.iter() {
-        let image = ScanImage::new(&seen(shown.stamp.tick), &shown.model.view, shown.scan.window);
-        assert_eq!(image.mask(), shown.scan.mask, "tick {}", shown.stamp.tick);
-        for (i, across) in image.across().into_iter().enumerate().filter(|(i, _)| shown.scan.mask[*i]) {
-            let depth_mm = f64::from(shown.scan.depth(i) - image.depth[i]) / 256.0;
+        let scan = scan_of(shown);
+        let image = ScanImage::new(&seen(shown.stamp.tick), &shown.model.view, scan.placed.window);
+        assert_eq!(image.mask(), scan.mask, "tick {}", shown.stamp.tick);
+        for (i, across) in image.across().into_iter().enumerate().filter(|(i, _)| scan.mask[*i]) {
+            let depth_mm = f64::from(scan.depth(i) - image.depth[i]) / 256.0;
             let off_mm = depth_mm.abs() * f64::from(across).sqrt();
             assert!(off_mm <= BOUND_MM + 1e-6, "tick {}, pixel {i}: {off_mm} mm", shown.stamp.tick);
         }
@@ -157,7 +179,7 @@ fn every_group_can_be_the_first_that_is_asked_for() {
             Ok((RUN.groups[k].geometry.clone(), RUN.groups[k].texture.clone()))
         });
         let known = DECODED.iter().find(|s| s.stamp == group.key).unwrap();
-        assert!(shown.unwrap().mesh == as_scan(&known.model, &known.scan), "group {i}");
+        assert!(shown.unwrap().mesh == as_scan(&known.model, scan_of(known)), "group {i}");
         // The scans between move the base of the group before.
         let base = (0..i.max(1)).rev().find(|k| starts[*k] != Start::Continues).unwrap();
         assert!(asked.iter().all(|k| (base..=i).contains(k)), "group {i}: {asked:?}");
