@@ -54,7 +54,7 @@ impl EncoderConfig {
     pub fn header(&self) -> StreamHeader {
         match self {
             Self::Seed(config) => config.header,
-            Self::Shots(config) => config.header,
+            Self::Shots(config) => config.header(),
         }
     }
 }

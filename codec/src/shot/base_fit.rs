@@ -2,7 +2,7 @@
 
 use super::UNITS_PER_MM;
 use super::base::{CONTROL_SIDE, CodedBase, DIRECTION_BITS, control_surface, on_disk, visit};
-use super::lattice::{CELLS_PER_SPAN, GRID_CELLS, GRID_SIDE, Nodes, WEIGHTS};
+use super::lattice::{CELLS_PER_SPAN, GRID_CELLS, GRID_SIDE, Nodes};
 use super::scan_image::ScanImage;
 use super::view::View;
 use crate::Result;
@@ -230,9 +230,4 @@ fn quantize(wanted: &[Option<f64>], options: &BaseOptions) -> Vec<i32> {
         values[i] = predicted + q * options.displacement_step;
     });
     residuals
-}
-
-/// Weights of the finest level at a phase, as numbers.
-pub fn fine_weights(phase: usize) -> [f64; 4] {
-    WEIGHTS[phase].map(|w| f64::from(w) / 3072.0)
 }

@@ -41,9 +41,11 @@ const MIN_MATCHED: f64 = 0.5;
 /// What the encoder may be told.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShotConfig {
-    /// Written before the first group.
-    pub header: StreamHeader,
-    /// Steps, as in the header.
+    /// Ticks from one keyframe to the next.
+    pub keyframe_interval: u8,
+    /// Time from one tick to the next.
+    pub scan_period_nanos: u64,
+    /// Steps of everything that is quantized.
     pub steps: Steps,
     /// Error that is worth correcting, mm.
     pub tolerance_mm: f64,
@@ -60,11 +62,10 @@ pub struct ShotConfig {
 impl ShotConfig {
     /// For scans of one period: a keyframe every tenth, a base every eighth group, errors of a tenth of a millimetre.
     pub fn new(scan_period_nanos: u64) -> Self {
-        let steps = Steps::default();
-        let header = StreamHeader { mode: Mode::Shots(steps), keyframe_interval: 10, scan_period_nanos };
         Self {
-            header,
-            steps,
+            keyframe_interval: 10,
+            scan_period_nanos,
+            steps: Steps::default(),
             tolerance_mm: 0.1,
             max_error_mm: None,
             refresh_groups: 8,
@@ -72,15 +73,30 @@ impl ShotConfig {
             repair: RepairOptions::default(),
         }
     }
-}
 
-impl ShotConfig {
+    /// Written before the first group.
+    pub fn header(&self) -> StreamHeader {
+        StreamHeader {
+            mode: Mode::Shots(self.steps),
+            keyframe_interval: self.keyframe_interval,
+            scan_period_nanos: self.scan_period_nanos,
+        }
+    }
+
     /// Sets the tolerance and the step of patches that suits it.
     pub fn set_tolerance_mm(&mut self, tolerance_mm: f64) {
         self.tolerance_mm = tolerance_mm;
         let units = f64::from(super::UNITS_PER_MM);
         self.steps.patch = (PATCH_STEP_SHARE * tolerance_mm * units).round().clamp(8.0, 4096.0) as i32;
-        self.header.mode = Mode::Shots(self.steps);
+    }
+
+    fn tradeoff(&self) -> Tradeoff {
+        let units = f64::from(super::UNITS_PER_MM);
+        let tolerance2 = self.tolerance_mm * self.tolerance_mm;
+        let bound = self.max_error_mm.map(|mm| (mm * units) as i32);
+        let fidelity = |factor: f64| Fidelity { patch_lambda: (factor * tolerance2 * units * units) as f32, bound };
+        let register = RegisterOptions { lambda: LATTICE_WORTH * tolerance2, ..RegisterOptions::default() };
+        Tradeoff { key: fidelity(KEY_WORTH), between: fidelity(BETWEEN_WORTH), register }
     }
 }
 
@@ -90,17 +106,6 @@ struct Tradeoff {
     key: Fidelity,
     between: Fidelity,
     register: RegisterOptions,
-}
-
-impl ShotConfig {
-    fn tradeoff(&self) -> Tradeoff {
-        let units = f64::from(super::UNITS_PER_MM);
-        let tolerance2 = self.tolerance_mm * self.tolerance_mm;
-        let bound = self.max_error_mm.map(|mm| (mm * units) as i32);
-        let fidelity = |factor: f64| Fidelity { patch_lambda: (factor * tolerance2 * units * units) as f32, bound };
-        let register = RegisterOptions { lambda: LATTICE_WORTH * tolerance2, ..RegisterOptions::default() };
-        Tradeoff { key: fidelity(KEY_WORTH), between: fidelity(BETWEEN_WORTH), register }
-    }
 }
 
 /// What a group cost, by part.
@@ -157,7 +162,7 @@ impl Encoder {
     /// # Errors
     /// [`CodecError::Stream`] naming a setting out of range.
     pub fn new(config: ShotConfig) -> Result<Self> {
-        config.header.validate()?;
+        config.header().validate()?;
         Ok(Self {
             config,
             crop: Crop::default(),
@@ -177,7 +182,7 @@ impl Encoder {
 
     /// Stream header of the run.
     pub fn header(&self) -> StreamHeader {
-        self.config.header
+        self.config.header()
     }
 
     /// Takes the next scan.
@@ -265,7 +270,7 @@ impl Encoder {
                 return Ok(key);
             }
         }
-        self.begun(scan, stamp, tracked)
+        self.begun(scan, stamp, image.is_some().then_some(tracked))
     }
 
     fn register(
@@ -319,7 +324,8 @@ impl Encoder {
         Ok(CodedKey { bridge: Some(bridge), ..key })
     }
 
-    fn begun(&mut self, scan: &Scan, stamp: Stamp, tracked: &[TrackedPixel]) -> Result<CodedKey> {
+    /// A new shot; `tracked` are the points of this scan, unless it is the first that is seen.
+    fn begun(&mut self, scan: &Scan, stamp: Stamp, tracked: Option<&[TrackedPixel]>) -> Result<CodedKey> {
         let camera = ShotCamera::of(scan)?;
         let window = camera.window(scan).ok_or_else(|| CodecError::Mesh("its camera does not see it".into()))?;
         let image = ScanImage::new(scan, &camera.view, window);
@@ -328,8 +334,12 @@ impl Encoder {
         let base = fit_base(&small, &image, &camera.view, &self.base_options())?;
         let new = NewBase { view: camera.view, edge_step: image.edge_step(scan), base };
         self.anchors.clear();
-        let key = self.with_base(stamp, &image, (Start::Begins, new), tracked);
-        self.anchors.renew(tracked, &key.chain.model, &key.chain.keys.scans[&stamp.tick], &image);
+        let tracked = match tracked {
+            Some(tracked) => tracked.to_vec(),
+            None => self.track(scan, Some(&image), true),
+        };
+        let key = self.with_base(stamp, &image, (Start::Begins, new), &tracked);
+        self.anchors.renew(&tracked, &key.chain.model, &key.chain.keys.scans[&stamp.tick], &image);
         self.camera = Some(camera);
         Ok(CodedKey { repair: Some(report), ..key })
     }
@@ -361,12 +371,12 @@ impl Encoder {
         let stamps: Vec<Stamp> = pending.iter().map(|p| p.stamp).chain([stamp]).collect();
         self.groups_since_shot = if key.start == Start::Begins { 0 } else { self.groups_since_shot + 1 };
         let head = (key.start, key.new_base.as_ref(), self.groups_since_shot);
-        let geometry = group::write(&self.config.header, &stamps, head, &key.bytes, &between)?;
+        let geometry = group::write(&self.config.header(), &stamps, head, &key.bytes, &between)?;
         let base = key.new_base.as_ref().map_or(0, |_| geometry.len() - key.bytes.len() - between.len());
         let cost = GroupCost { base, key: key.spent, between: spent };
         self.groups_since_base = if key.start == Start::Continues { self.groups_since_base + 1 } else { 1 };
         self.chain = Some(key.chain);
-        let interval = u64::from(self.config.header.keyframe_interval);
+        let interval = u64::from(self.config.keyframe_interval);
         self.next_key_tick = (stamp.tick / interval + 1) * interval;
         Ok(EncodedGroup {
             first: stamps[0],

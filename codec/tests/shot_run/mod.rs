@@ -27,7 +27,7 @@ pub struct Run {
 /// The run that the vectors hold.
 pub static RUN: LazyLock<Run> = LazyLock::new(|| {
     let mut config = ShotConfig::new(PERIOD_NANOS);
-    config.header.keyframe_interval = INTERVAL;
+    config.keyframe_interval = INTERVAL;
     config.refresh_groups = 2;
     config.max_error_mm = Some(1.0);
     let mut encoder = Encoder::new(EncoderConfig::Shots(config)).unwrap();

@@ -150,7 +150,7 @@ impl Encode {
         match self.mode {
             ModeArgument::Default => {
                 let mut config = ShotConfig::new(period_nanos);
-                config.header.keyframe_interval = self.keyframe_interval;
+                config.keyframe_interval = self.keyframe_interval;
                 config.set_tolerance_mm(self.tolerance_mm);
                 config.max_error_mm = self.max_error_mm;
                 config.repair.open_closed = self.open_closed;
