@@ -87,6 +87,14 @@ impl Encoder {
         }
     }
 
+    /// Whether scans between keyframes are corrected by what motion does not explain, for the groups to come; the seed mode
+    /// never does.
+    pub fn set_corrects_between(&mut self, corrects_between: bool) {
+        if let Self::Shots(encoder) = self {
+            encoder.set_corrects_between(corrects_between);
+        }
+    }
+
     /// Takes the next scan.
     ///
     /// # Errors

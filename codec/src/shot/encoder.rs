@@ -55,6 +55,9 @@ pub struct ShotConfig {
     pub refresh_groups: u32,
     /// Steps of pictures.
     pub texture: TextureSteps,
+    /// Scans between keyframes have patches and pictures of their own; without, they are what motion makes of keyframes (and
+    /// as near as `max_error_mm` asks), for much less work.
+    pub corrects_between: bool,
     /// How scans become disks.
     pub repair: RepairOptions,
 }
@@ -70,6 +73,7 @@ impl ShotConfig {
             max_error_mm: None,
             refresh_groups: 8,
             texture: TextureSteps::default(),
+            corrects_between: true,
             repair: RepairOptions::default(),
         }
     }
@@ -96,7 +100,8 @@ impl ShotConfig {
         let bound = self.max_error_mm.map(|mm| (mm * units) as i32);
         let fidelity = |factor: f64| Fidelity { patch_lambda: (factor * tolerance2 * units * units) as f32, bound };
         let register = RegisterOptions { lambda: LATTICE_WORTH * tolerance2, ..RegisterOptions::default() };
-        Tradeoff { key: fidelity(KEY_WORTH), between: fidelity(BETWEEN_WORTH), register }
+        let between = if self.corrects_between { BETWEEN_WORTH } else { f64::INFINITY };
+        Tradeoff { key: fidelity(KEY_WORTH), between: fidelity(between), register }
     }
 }
 
@@ -183,6 +188,11 @@ impl Encoder {
     /// Stream header of the run.
     pub fn header(&self) -> StreamHeader {
         self.config.header()
+    }
+
+    /// Sets [`ShotConfig::corrects_between`] for the groups to come.
+    pub fn set_corrects_between(&mut self, corrects_between: bool) {
+        self.config.corrects_between = corrects_between;
     }
 
     /// Takes the next scan.
@@ -460,7 +470,7 @@ impl Encoder {
         let after = end.map(|scan| Textured { scan, chain: &texture, tick: stamp.tick });
         let keys: Vec<Textured<'_>> = textured.into_iter().chain(after).collect();
         let between = |p: &Pending| {
-            let (chain, picture) = (self.chain.as_ref()?, p.picture.as_ref()?);
+            let (chain, picture) = (self.chain.as_ref()?, p.picture.as_ref().filter(|_| self.config.corrects_between)?);
             let scan = &decoded.scans[&p.stamp.tick];
             Some(textures::encode_between(picture, (p.stamp.tick, scan), &chain.model, &keys, steps))
         };

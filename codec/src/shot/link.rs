@@ -66,7 +66,7 @@ impl Link {
             let after = between.end.as_ref().and_then(|end| self.key_picture(end));
             let keys: Arc<Vec<_>> = Arc::new(key.iter().cloned().chain(after).collect());
             for (i, (stamp, scan)) in between.scans.into_iter().enumerate() {
-                let bytes = pictures.map(|p| p.between[i]).filter(|b| !b.is_empty());
+                let bytes = pictures.map(|p| p.between[i]).filter(|b| !(b.is_empty() && keys.is_empty()));
                 let picture = bytes.map(|b| Picture::Between(b.into(), Arc::clone(&keys)));
                 shown.push(before.shown(stamp, Arc::new(scan.placed.clone()), Some(scan), picture));
             }

@@ -4,7 +4,7 @@ use super::carry;
 use super::model::Model;
 use super::seen_scan::SeenScan;
 use crate::bits::bytes::{ByteReader, put_varint};
-use crate::texture::coded::{Models, Offsets, Options, Planes, Shifts, Source, decode, encode};
+use crate::texture::coded::{Models, Offsets, Options, Planes, Shifts, Source, decode, encode, expected};
 use crate::{GreyPicture, Result};
 use std::sync::Arc;
 
@@ -97,7 +97,7 @@ pub fn encode_between(
     encode(&Planes::from_grey(picture), &scan.mask, &sources, &mut models, &options).0
 }
 
-/// Reads the picture of a scan between keyframes.
+/// Reads the picture of a scan between keyframes: what its keyframes let expect where there are no bytes.
 ///
 /// # Errors
 /// [`crate::CodecError::Payload`] for bytes that do not fit.
@@ -112,6 +112,9 @@ pub fn decode_between(
     let sources = sources(keys, &offsets, &weights);
     let mut models = keys.last().map(|k| k.chain.models.clone()).unwrap_or_default();
     let size = [scan.placed.window.width, scan.placed.window.height];
+    if bytes.is_empty() {
+        return Ok(expected((1, size), &scan.mask, &sources).to_grey());
+    }
     Ok(decode(bytes, (1, size), &scan.mask, &sources, &mut models)?.planes.to_grey())
 }
 
@@ -153,7 +156,7 @@ fn sources<'a>(keys: &[Textured<'a>], offsets: &'a [Offsets], weights: &[u16]) -
     keys.iter().zip(offsets).zip(weights).map(source).collect()
 }
 
-/// The payload: the keyframe's picture, then those between in time order, empty where a scan has none.
+/// The payload: the keyframe's picture, then those between in time order, empty for what keyframes let expect.
 pub fn write(key: &[u8], between: &[Vec<u8>]) -> Vec<u8> {
     let mut out = Vec::new();
     for part in std::iter::once(key).chain(between.iter().map(|b| &b[..])) {
@@ -168,7 +171,7 @@ pub fn write(key: &[u8], between: &[Vec<u8>]) -> Vec<u8> {
 pub struct Pictures<'a> {
     /// Of the keyframe.
     pub key: &'a [u8],
-    /// Of the scans between, in time order; empty where there is none.
+    /// Of the scans between, in time order; empty for what keyframes let expect.
     pub between: Vec<&'a [u8]>,
 }
 

@@ -120,6 +120,17 @@ pub fn encode(
     (bytes, Decoded { planes: Planes::continued(width, levels), shifts })
 }
 
+/// A picture of `planes` (1 or 3) planes and the width and height `size` as its sources alone show it; middle grey without.
+///
+/// # Panics
+/// When mask, sources and size do not fit each other, or the size is empty.
+pub fn expected((planes, size): (usize, [usize; 2]), mask: &[bool], sources: &[Source<'_>]) -> Planes {
+    let [width, height] = size;
+    assert!(mask.len() == width * height && width > 0 && height > 0, "one flag a pixel");
+    let nothing = || Planes::continued(width, vec![vec![canvas::NOT_YET; mask.len()]; planes]);
+    carried::expect(sources, &Shifts::none(width, height), (planes, size), mask).unwrap_or_else(nothing)
+}
+
 fn steps_of(planes: usize, options: &Options) -> Vec<u16> {
     (0..planes).map(|p| if p == 0 { options.step } else { options.chroma_step }).collect()
 }
