@@ -37,7 +37,15 @@ pub struct FlowOptions {
 
 impl Default for FlowOptions {
     fn default() -> Self {
-        Self { window_px: 15, levels: 3, max_iterations: 12, epsilon_px: 0.03, max_backward_px: 0.5, min_zncc: 0.75, sure_zncc: 0.9 }
+        Self {
+            window_px: 15,
+            levels: 3,
+            max_iterations: 12,
+            epsilon_px: 0.03,
+            max_backward_px: 0.5,
+            min_zncc: 0.75,
+            sure_zncc: 0.9,
+        }
     }
 }
 

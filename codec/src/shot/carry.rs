@@ -13,7 +13,22 @@ use crate::texture::coded::{BLOCK, NOWHERE, Offsets};
 const MAX_OFFSET: i64 = 1 << 28;
 /// Pixels of a block in the order in which they speak for it: those in the middle first.
 const ORDER: [[usize; 2]; BLOCK * BLOCK] = [
-    [1, 1], [2, 1], [1, 2], [2, 2], [1, 0], [2, 0], [0, 1], [3, 1], [0, 2], [3, 2], [1, 3], [2, 3], [0, 0], [3, 0], [0, 3], [3, 3],
+    [1, 1],
+    [2, 1],
+    [1, 2],
+    [2, 2],
+    [1, 0],
+    [2, 0],
+    [0, 1],
+    [3, 1],
+    [0, 2],
+    [3, 2],
+    [1, 3],
+    [2, 3],
+    [0, 0],
+    [3, 0],
+    [0, 3],
+    [3, 3],
 ];
 
 /// Depth of the model at each pixel and offsets to reference pictures, beside the surface as at the nearest one on it.

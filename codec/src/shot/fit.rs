@@ -12,8 +12,7 @@ use glam::{DMat3, DVec3};
 const STENCIL: usize = 7;
 
 /// Pairs of the four basis functions of a span, the earlier one first.
-const PAIRS: [[usize; 2]; 10] =
-    [[0, 0], [0, 1], [0, 2], [0, 3], [1, 1], [1, 2], [1, 3], [2, 2], [2, 3], [3, 3]];
+const PAIRS: [[usize; 2]; 10] = [[0, 0], [0, 1], [0, 2], [0, 3], [1, 1], [1, 2], [1, 3], [2, 2], [2, 3], [3, 3]];
 /// Where a pair stands among them.
 const PAIR_OF: [[usize; 4]; 4] = [[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]];
 /// Six sums for each pair along a row.

@@ -31,8 +31,11 @@ pub struct Player {
     displayed: Option<(usize, Arc<Connectivity>)>,
     change: Option<(u64, Change)>,
     /// Texture of the tracked mesh, by the group in which its shot began and the tick of its keyframe.
-    texture: Option<((usize, u64), (Vec<[f32; 2]>, GreyPicture))>,
+    texture: Option<((usize, u64), KeyTexture)>,
 }
+
+/// Where a keyframe's picture shows grid nodes, and the picture.
+type KeyTexture = (Vec<[f32; 2]>, GreyPicture);
 
 /// What is shown: a surface and its texture.
 type Surface = (TriMesh, Option<GreyPicture>);
@@ -50,7 +53,17 @@ impl Player {
         }
         let steps = header.steps()?;
         let (chains, groups) = (BTreeMap::new(), BTreeMap::new());
-        Ok(Self { header, steps, output, key_times_nanos, chains, groups, displayed: None, change: None, texture: None })
+        Ok(Self {
+            header,
+            steps,
+            output,
+            key_times_nanos,
+            chains,
+            groups,
+            displayed: None,
+            change: None,
+            texture: None,
+        })
     }
 
     /// The scan at a time, held at the ends of the run. `fetch` gives the payloads (group, texture) of a group by index.
@@ -185,7 +198,7 @@ impl Player {
     }
 
     /// Picture of a scan's keyframe, and where grid nodes lie in it.
-    fn key_texture(&mut self, of: &Shown, nodes: &Connectivity) -> Option<(Vec<[f32; 2]>, GreyPicture)> {
+    fn key_texture(&mut self, of: &Shown, nodes: &Connectivity) -> Option<KeyTexture> {
         let key = of.key.as_ref()?;
         let at = (of.shot, key.tick());
         let texture = match self.texture.take().filter(|(known, _)| *known == at) {

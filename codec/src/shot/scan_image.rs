@@ -214,4 +214,3 @@ fn on_centres(scan: &Scan, view: &View, window: Window) -> Option<Vec<i32>> {
     }
     Some(depth)
 }
-

@@ -81,11 +81,7 @@ fn without_nothing(mut depth: Vec<i32>) -> Vec<i32> {
 
 /// How surely each pixel is on the surface: the mean of bilinear shares of the references' masks; and its residual: the
 /// mean of what those references hold whose masks have the nearest pixel, 0 where none has it.
-fn expected_pixels(
-    offsets: &[Offsets],
-    references: &[&SeenScan],
-    [width, height]: [usize; 2],
-) -> (Vec<u8>, Vec<i32>) {
+fn expected_pixels(offsets: &[Offsets], references: &[&SeenScan], [width, height]: [usize; 2]) -> (Vec<u8>, Vec<i32>) {
     let of = references.len() as i32;
     let (mut level, mut residual) = (vec![0; width * height], vec![0; width * height]);
     for block in 0..offsets[0].blocks.len() {
@@ -186,7 +182,13 @@ mod tests {
         let window = Window { width: 4, height: 2, offset: [0; 2] };
         let drawn = Drawn { seen: Vec::new(), picture: DepthPicture::new(4, 2) };
         let residual = (0..8).map(|i| 10 * i - 30).collect();
-        SeenScan { placed: Placed { window, ..Placed::default() }, drawn, model_depth: vec![7; 8], mask: mask.to_vec(), residual }
+        SeenScan {
+            placed: Placed { window, ..Placed::default() },
+            drawn,
+            model_depth: vec![7; 8],
+            mask: mask.to_vec(),
+            residual,
+        }
     }
 
     fn look(reference: &SeenScan, offset: [i32; 2]) -> (i32, Option<i64>) {

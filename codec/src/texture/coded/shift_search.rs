@@ -31,8 +31,7 @@ pub fn search(wanted: &Planes, mask: &[bool], source: &Source<'_>) -> Shifts {
         return shifts;
     }
     let is_shown = |i: usize| source.offsets.at(i % width, i / width) != NOWHERE;
-    let counts: Vec<f32> =
-        mask.iter().enumerate().map(|(i, m)| f32::from(u8::from(*m && is_shown(i)))).collect();
+    let counts: Vec<f32> = mask.iter().enumerate().map(|(i, m)| f32::from(u8::from(*m && is_shown(i)))).collect();
     let mut exact_px = vec![[0.0_f32; 2]; shifts.nodes.len()];
     for smoothing_px in STEPS_PX {
         let (carried, missing) = compare(wanted, &counts, source, &shifts);
