@@ -27,7 +27,7 @@ pub use raw::{RawRecorded, RawRecorder, RawSets, RawTap};
 pub use reconstruct::{PhaseMaps, Reconstruction, Reconstructor};
 pub use record::{RecordError, RecordSettings, Recorded, record};
 pub use recording::{Closed, GroupSink, Progress, Recording, SegmentLimits};
-pub use stages::{Pipeline, PipelineSettings, QueueDepths};
+pub use stages::{Pipeline, PipelineSettings, QueueDepths, QueueGauge};
 pub use still::StillReconstructor;
 
 use crate::light::{Calibration, LightError, Limits, PatternSequence};

@@ -51,18 +51,48 @@ pub struct LiveScan {
     pub latency_nanos: u64,
 }
 
-/// A piece of the running recording as it is on disk.
-#[derive(Debug, Clone)]
-pub enum LiveGroup {
-    /// A file begins: the codec's stream header.
-    Header {
-        /// File of the recording, from 1.
-        segment: u64,
-        /// Payload.
-        bytes: Vec<u8>,
+/// What a piece of a recording is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum LiveGroupKind {
+    /// The codec's stream header: a file begins.
+    Header = 0,
+    /// Geometry of a group.
+    Geometry = 1,
+    /// Texture of the group before.
+    Texture = 2,
+}
+
+/// A piece of the running recording that is on disk.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LiveGroup {
+    /// What it is.
+    pub kind: LiveGroupKind,
+    /// Tick of the group's first scan.
+    pub first_tick: u64,
+    /// Tick of its keyframe.
+    pub key_tick: u64,
+    /// Sensor time of its keyframe, nanoseconds.
+    pub time_nanos: u64,
+    /// The codec's payload.
+    pub payload: Vec<u8>,
+}
+
+/// What happened, for those who look on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[serde(untagged)]
+pub enum LiveEvent {
+    /// In the stages; recordings hold it, too.
+    Happened(Event),
+    /// The scanner's state is another; `event` is `state`.
+    State {
+        /// Always `state`.
+        event: &'static str,
+        /// The new state.
+        state: &'static str,
+        /// What went wrong last.
+        error: Option<String>,
     },
-    /// A group.
-    Group(EncodedGroup),
 }
 
 /// How the pictures are exposed.
@@ -158,8 +188,9 @@ pub struct Monitor {
     maps_wanted: AtomicUsize,
     picture: watch::Sender<Option<Arc<LivePicture>>>,
     scan: watch::Sender<Option<Arc<LiveScan>>>,
+    header: Mutex<Option<Arc<LiveGroup>>>,
     groups: broadcast::Sender<Arc<LiveGroup>>,
-    events: broadcast::Sender<Event>,
+    events: broadcast::Sender<LiveEvent>,
 }
 
 impl Default for Monitor {
@@ -179,6 +210,7 @@ impl Default for Monitor {
             maps_wanted: AtomicUsize::new(0),
             picture: watch::Sender::new(None),
             scan: watch::Sender::new(None),
+            header: Mutex::default(),
             groups: broadcast::Sender::new(BROADCAST),
             events: broadcast::Sender::new(BROADCAST),
         }
@@ -206,13 +238,18 @@ impl Monitor {
         self.scan.subscribe()
     }
 
-    /// Groups as they come to be on disk.
+    /// Stream header of the newest file of a recording, for those who come after it was sent.
+    pub fn stream_header(&self) -> Option<Arc<LiveGroup>> {
+        lock(&self.header).clone()
+    }
+
+    /// Groups as they come to be on disk, after the stream header of their file.
     pub fn groups(&self) -> broadcast::Receiver<Arc<LiveGroup>> {
         self.groups.subscribe()
     }
 
-    /// Drops, faults, gaps and marks as they happen.
-    pub fn events(&self) -> broadcast::Receiver<Event> {
+    /// Drops, faults, gaps, marks and changes of state as they happen.
+    pub fn events(&self) -> broadcast::Receiver<LiveEvent> {
         self.events.subscribe()
     }
 
@@ -245,6 +282,11 @@ impl Monitor {
     /// Picture to mesh of the last scans: median and 99th percentile, milliseconds.
     pub fn recent_latency_ms(&self) -> [f64; 2] {
         lock(&self.picture_to_mesh).recent_ms()
+    }
+
+    /// Pictures taken and scans made.
+    pub fn pictures_and_scans(&self) -> [u64; 2] {
+        [&self.pictures, &self.scans].map(|n| n.load(Ordering::Relaxed))
     }
 
     /// All counters.
@@ -298,12 +340,21 @@ impl Monitor {
 
     pub(super) fn stored(&self, group: EncodedGroup, arrived: Instant) {
         lock(&self.group_on_disk).add(arrived.elapsed());
-        self.show_group(LiveGroup::Group(group));
+        let [first_tick, key_tick, time_nanos] = [group.first.tick, group.key.tick, group.key.time_nanos];
+        let payloads = [(LiveGroupKind::Geometry, Some(group.geometry)), (LiveGroupKind::Texture, group.texture)];
+        for (kind, payload) in payloads {
+            let Some(payload) = payload else { continue };
+            // Nobody may be listening.
+            let _ = self.groups.send(Arc::new(LiveGroup { kind, first_tick, key_tick, time_nanos, payload }));
+        }
     }
 
-    pub(super) fn show_group(&self, group: LiveGroup) {
-        // Nobody may be listening.
-        let _ = self.groups.send(Arc::new(group));
+    pub(super) fn began_file(&self, header: Vec<u8>) {
+        let (tick, time_nanos) = self.last_set();
+        let kind = LiveGroupKind::Header;
+        let header = Arc::new(LiveGroup { kind, first_tick: tick, key_tick: tick, time_nanos, payload: header });
+        *lock(&self.header) = Some(Arc::clone(&header));
+        let _ = self.groups.send(header);
     }
 
     pub(super) fn set_degradation(&self, level: Degradation) {
@@ -315,7 +366,12 @@ impl Monitor {
         if let EventKind::Drop { cause, count } = &event.kind {
             self.count_drop(cause, *count);
         }
-        let _ = self.events.send(event.clone());
+        let _ = self.events.send(LiveEvent::Happened(event.clone()));
+    }
+
+    /// Shows that the state is another.
+    pub fn announce(&self, state: &'static str, error: Option<String>) {
+        let _ = self.events.send(LiveEvent::State { event: "state", state, error });
     }
 
     pub(super) fn count_drop(&self, cause: &str, count: u64) {

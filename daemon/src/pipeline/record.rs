@@ -12,6 +12,7 @@ use gv3_protocol::session::{
     Event, GroupRecord, MetadataGroup, SessionError, SessionFile, SessionWriter, SyncData,
 };
 use std::io::{Seek, Write};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
@@ -32,6 +33,14 @@ pub enum RecordError {
     /// The session could not be written.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// A file that was closed is not what was written.
+    #[error("{}: {reason}", path.display())]
+    Verify {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
     /// The raw recording could not be begun.
     #[error(transparent)]
     Raw(#[from] gv3_protocol::raw::RawError),

@@ -54,12 +54,38 @@ pub struct QueueDepths {
     pub groups: usize,
 }
 
-/// The running stages.
-pub struct Pipeline {
-    input: Sender<Item<FrameSet>>,
+/// Looks at a pipeline's queues; they are empty when it has ended.
+#[derive(Clone)]
+pub struct QueueGauge {
+    sets: WeakSender<Item<FrameSet>>,
     scans: WeakSender<Item<Scan>>,
     groups: WeakSender<Item<EncodedGroup>>,
-    stop: Arc<AtomicBool>,
+}
+
+impl QueueGauge {
+    /// What waits in the queues.
+    pub fn depths(&self) -> QueueDepths {
+        fn depth<T>(queue: &WeakSender<T>) -> usize {
+            queue.upgrade().map_or(0, |queue| queue.max_capacity() - queue.capacity())
+        }
+        QueueDepths { sets: depth(&self.sets), scans: depth(&self.scans), groups: depth(&self.groups) }
+    }
+}
+
+/// Ends the run when it goes.
+struct Stop(Arc<AtomicBool>);
+
+impl Drop for Stop {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// The running stages; they end when it is dropped.
+pub struct Pipeline {
+    input: Sender<Item<FrameSet>>,
+    gauge: QueueGauge,
+    stop: Stop,
     monitor: Arc<Monitor>,
     capture: Option<JoinHandle<Result<Captured, RecordError>>>,
     stages: Vec<JoinHandle<Result<(), RecordError>>>,
@@ -82,7 +108,7 @@ impl Pipeline {
         if let Some(recording) = first {
             input.try_send(Item::Begin(Box::new(recording))).map_err(|_| RecordError::Stage("record"))?;
         }
-        let (weak_scans, weak_groups) = (scan_out.downgrade(), group_out.downgrade());
+        let gauge = QueueGauge { sets: input.downgrade(), scans: scan_out.downgrade(), groups: group_out.downgrade() };
         let drops_as = |cause| is_live.then_some(cause);
         let set_outlet = Outlet::new(input.clone(), drops_as(QUEUE_RECONSTRUCT), Arc::clone(&monitor));
         let scan_outlet = Outlet::new(scan_out, drops_as(QUEUE_ENCODE), Arc::clone(&monitor));
@@ -97,8 +123,7 @@ impl Pipeline {
         ];
         let (asked, seen) = (Arc::clone(&stop), Arc::clone(&monitor));
         let capture = thread("capture", move || capture(rig, scan_periods, &asked, set_outlet, &seen))?;
-        let (scans, groups) = (weak_scans, weak_groups);
-        Ok(Self { input, scans, groups, stop, monitor, capture: Some(capture), stages })
+        Ok(Self { input, gauge, stop: Stop(stop), monitor, capture: Some(capture), stages })
     }
 
     /// Begins a recording with the next frame set.
@@ -137,16 +162,9 @@ impl Pipeline {
         self.send(Item::Event(event))
     }
 
-    /// What waits in the queues.
-    pub fn queues(&self) -> QueueDepths {
-        fn depth<T>(queue: &Sender<T>) -> usize {
-            queue.max_capacity() - queue.capacity()
-        }
-        QueueDepths {
-            sets: depth(&self.input),
-            scans: self.scans.upgrade().map_or(0, |queue| depth(&queue)),
-            groups: self.groups.upgrade().map_or(0, |queue| depth(&queue)),
-        }
+    /// Looks at the queues.
+    pub fn gauge(&self) -> QueueGauge {
+        self.gauge.clone()
     }
 
     /// Whether pictures still come, or are waited for.
@@ -165,7 +183,7 @@ impl Pipeline {
     /// # Errors
     /// [`RecordError`] of the first stage that failed; a later stage's error is the cause of those before it.
     pub fn finish(mut self) -> Result<(), RecordError> {
-        self.stop.store(true, Ordering::Relaxed);
+        self.stop.0.store(true, Ordering::Relaxed);
         let captured = if self.capture.is_some() { self.wait().map(drop) } else { Ok(()) };
         drop(self.input);
         let names = ["reconstruct", "encode", "write"];

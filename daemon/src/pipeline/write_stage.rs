@@ -1,9 +1,9 @@
 //! Groups to disk, in a thread of its own.
 
 use super::flow::{Captured, End, Ended, Item};
-use super::monitor::{LiveGroup, Monitor, Stage, thread_cpu};
+use super::monitor::{Monitor, Stage, thread_cpu};
 use super::record::{RecordError, Recorded};
-use super::recording::{Encoded, Progress, Rebuilt, Recording, payload_bytes};
+use super::recording::{Encoded, GroupSink, Progress, Rebuilt, Recording, payload_bytes};
 use gv3_codec::{EncodedGroup, StreamHeader};
 use gv3_protocol::session::{Event, MetadataGroup, key};
 use std::sync::Arc;
@@ -11,8 +11,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::Receiver;
 use tracing::{debug_span, info, warn};
-
-use super::recording::GroupSink;
 
 /// Events kept until the next group; of those beyond only the count in the status is left.
 const MOST_EVENTS: usize = 4096;
@@ -123,8 +121,8 @@ impl Run {
         }
         match self.sink.begin(header) {
             Ok(()) => {
-                let segment = self.progress.segments.fetch_add(1, Ordering::Relaxed) + 1;
-                monitor.show_group(LiveGroup::Header { segment, bytes: header.encode() });
+                self.progress.segments.fetch_add(1, Ordering::Relaxed);
+                monitor.began_file(header.encode());
             }
             Err(error) => self.fail(error),
         }
