@@ -15,6 +15,8 @@ pub mod record;
 pub mod recording;
 mod stages;
 pub mod still;
+#[cfg(test)]
+pub(crate) mod test_rig;
 mod write_stage;
 
 pub use board_views::{BoardViewError, read_board_view, read_board_views, simulate_board_views};

@@ -138,7 +138,10 @@ impl Pipeline {
     ///
     /// # Errors
     /// [`RecordError::Stage`] when the stages have ended.
-    pub fn end(&self, cause: Option<RecordError>) -> Result<replies::Receiver<Result<Ended, RecordError>>, RecordError> {
+    pub fn end(
+        &self,
+        cause: Option<RecordError>,
+    ) -> Result<replies::Receiver<Result<Ended, RecordError>>, RecordError> {
         self.end_after(cause, Captured::default())
     }
 
@@ -203,4 +206,93 @@ fn thread<T: Send + 'static>(
 ) -> Result<JoinHandle<T>, RecordError> {
     let thread = std::thread::Builder::new().name(format!("gv3-{name}"));
     thread.spawn(work).map_err(|_| RecordError::Stage(name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{self, PacedCamera};
+    use crate::pipeline::test_rig::small_rig;
+    use crate::pipeline::{Closed, Degradation, GroupSink, Progress, SegmentLimits};
+    use gv3_codec::{EncoderConfig, StreamHeader};
+    use gv3_protocol::session::{EventKind, MetadataGroup};
+    use std::sync::{Mutex, PoisonError};
+    use std::time::{Duration, Instant};
+
+    /// Keeps what comes.
+    #[derive(Clone, Default)]
+    struct Kept(Arc<Mutex<(Vec<EncodedGroup>, Vec<Event>)>>);
+
+    impl GroupSink for Kept {
+        fn begin(&mut self, _: &StreamHeader) -> Result<(), RecordError> {
+            Ok(())
+        }
+        fn group(&mut self, group: &EncodedGroup, events: &[Event]) -> Result<(), RecordError> {
+            let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            kept.0.push(group.clone());
+            kept.1.extend_from_slice(events);
+            Ok(())
+        }
+        fn end(&mut self, events: &[Event], _: &MetadataGroup) -> Result<(), RecordError> {
+            self.0.lock().unwrap_or_else(PoisonError::into_inner).1.extend_from_slice(events);
+            Ok(())
+        }
+        fn closed(&self) -> Closed {
+            Closed::default()
+        }
+    }
+
+    #[test]
+    fn behind_a_slow_encoder_scans_between_are_left_out_and_keyframes_never() {
+        let rig = device::open(&small_rig()).unwrap();
+        let period_nanos = rig.timing.set_period_nanos(rig.sequence.patterns.len());
+        let rig = Rig { camera: Box::new(PacedCamera::new(rig.camera)), ..rig };
+        let monitor = Arc::new(Monitor::default());
+        let settings =
+            PipelineSettings { scan_periods: None, is_live: true, stop: Arc::default(), monitor: Arc::clone(&monitor) };
+        let kept = Kept::default();
+        let recording = Recording {
+            encoder: EncoderConfig::new(period_nanos),
+            limits: SegmentLimits::default(),
+            // Three times what there is time for.
+            observer: Box::new(|_| {
+                std::thread::sleep(Duration::from_millis(100));
+                Ok(())
+            }),
+            sink: Box::new(kept.clone()),
+            progress: Arc::<Progress>::default(),
+            abort: Arc::default(),
+        };
+        let pipeline = Pipeline::start(rig, settings, Some(recording)).unwrap();
+        let begin = Instant::now();
+        while monitor.drops().get("degradation_between").is_none_or(|n| *n < 30) {
+            assert!(begin.elapsed() < Duration::from_secs(120), "it never degraded: {:?}", monitor.metrics());
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let ended = pipeline.end(None).unwrap().recv().unwrap().unwrap();
+        assert_eq!(monitor.degradation(), Degradation::None);
+        pipeline.finish().unwrap();
+        let (groups, events) = &*kept.0.lock().unwrap();
+        assert_eq!(ended.recorded.keyframes, groups.len() as u64);
+        let levels: Vec<&str> = events
+            .iter()
+            .filter_map(|e| match &e.kind {
+                EventKind::Degradation { level } => Some(level.as_str()),
+                _ => None,
+            })
+            .collect();
+        assert!(levels.starts_with(&["no_between_correction", "no_between_scans"]), "{levels:?}");
+        let left_out: u64 = events
+            .iter()
+            .filter_map(|e| match &e.kind {
+                EventKind::Drop { cause, count } if cause == "degradation_between" => Some(*count),
+                _ => None,
+            })
+            .sum();
+        assert!(left_out >= 30, "{events:?}");
+        // A keyframe in every tenth of the ticks; the last group is closed by whatever scan was the last.
+        let keys: Vec<u64> = groups.iter().map(|g| g.key.tick / 10).collect();
+        assert!(keys.windows(2).all(|w| w[1] - w[0] <= 1), "{keys:?}");
+        assert!(keys.len() >= 3, "{keys:?}");
+    }
 }
