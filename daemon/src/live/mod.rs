@@ -38,10 +38,13 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 use tokio::sync::{broadcast, watch as latest};
 
+/// Opens the devices of a configuration.
+pub type OpenRig = dyn Fn(&RigConfig) -> Result<Rig, DeviceError> + Send + Sync;
+
 /// What the engine stands on; replaced in tests.
 pub struct Ground {
     /// Opens the devices of a configuration.
-    pub open_rig: Box<dyn Fn(&RigConfig) -> Result<Rig, DeviceError> + Send + Sync>,
+    pub open_rig: Box<OpenRig>,
     /// Where sessions are written to.
     pub disk: Arc<dyn Disk>,
 }

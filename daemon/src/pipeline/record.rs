@@ -98,7 +98,10 @@ pub async fn record(
     writer: SessionWriter<SessionFile>,
 ) -> Result<Recorded, RecordError> {
     let (done, result) = tokio::sync::oneshot::channel();
-    let work = move || done.send(record_here(rig, settings, writer));
+    let work = move || {
+        // Who waited may have given up.
+        let _ = done.send(record_here(rig, settings, writer));
+    };
     std::thread::Builder::new().name("gv3-record".into()).spawn(work).map_err(|_| RecordError::Stage("record"))?;
     result.await.unwrap_or(Err(RecordError::Stage("record")))
 }
