@@ -5,6 +5,7 @@
 //! device::Camera --Frame--> pipeline::frame_set --FrameSet--> light::phase --WrappedPhase--> light::unwrap --column_px-->
 //! light::triangulate --PointGrid--> light::grid_mesh --TriMesh--> codec::Encoder --EncodedGroup-->
 //! protocol::session writer --bytes--> file
+//! live: the stages of pipeline::stages all the time, recordings beginning and ending among them (live::Live)
 //! raw: Frame --pipeline::raw--> protocol::raw writer --bytes--> folder --device::recorded--> Frame
 //! virtual scanner: sim::SimWorld --GreyPicture--> virtual_scanner --transfers--> usb_device --bytes--> USB/IP or usbredir
 //! replay: file --StoredGroup--> codec::Player --Scan at time t--> files, view, measure
@@ -18,6 +19,7 @@ pub mod cli;
 pub mod device;
 pub mod files;
 pub mod light;
+pub mod live;
 pub mod measure;
 pub mod pipeline;
 pub mod replay;

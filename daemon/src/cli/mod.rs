@@ -3,6 +3,7 @@
 //! A command returns its report as text or JSON; exit code 0 for done, 1 for failed, 2 for wrong usage.
 
 mod accuracy;
+mod bench;
 mod calibrate;
 mod calibrate_gamma;
 mod capture;
@@ -64,6 +65,7 @@ enum Command {
     Flatten(flatten::Flatten),
     ExportRaw(raw::ExportRaw),
     Accuracy(accuracy::Accuracy),
+    Bench(bench::Bench),
     VirtualScanner(virtual_scanner::VirtualScannerCommand),
     InstallUdev(install_udev::InstallUdev),
 }
@@ -114,6 +116,7 @@ pub fn main() -> ExitCode {
         Command::Flatten(c) => c.run(),
         Command::ExportRaw(c) => c.run(),
         Command::Accuracy(c) => c.run(),
+        Command::Bench(c) => c.run(),
         Command::VirtualScanner(c) => c.run(),
         Command::InstallUdev(c) => c.run(),
     };
