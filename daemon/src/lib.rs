@@ -21,6 +21,8 @@ pub mod light;
 pub mod measure;
 pub mod pipeline;
 pub mod replay;
+pub mod server;
+pub mod store;
 pub mod sweep;
 pub mod usb_device;
 pub mod view;
