@@ -18,6 +18,7 @@ pub mod cli;
 pub mod device;
 pub mod files;
 pub mod light;
+pub mod live;
 pub mod measure;
 pub mod pipeline;
 pub mod replay;
