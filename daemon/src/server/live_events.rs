@@ -5,6 +5,7 @@ use super::shared::{Shared, State};
 use super::socket::{self, End, Receiver, Sender, close};
 use axum::extract::ws::WebSocketUpgrade;
 use axum::response::Response;
+use crate::store::event_value;
 use serde_json::json;
 use std::sync::Arc;
 use tokio::sync::broadcast::error::RecvError;
@@ -35,7 +36,7 @@ async fn stream(shared: Arc<Shared>, sender: Sender, mut receiver: Receiver) -> 
                 Err(_) => return End::new(close::GOING_AWAY, "the server stops"),
             },
             event = events.recv() => match event {
-                Ok(event) => json!({ "event": event }).to_string(),
+                Ok(event) => json!({ "event": event_value(&event) }).to_string(),
                 // Counts are in the status; the newest events are what a viewer wants.
                 Err(RecvError::Lagged(_)) => continue,
                 Err(RecvError::Closed) => return End::new(close::GOING_AWAY, "the scanner's engine stops"),

@@ -1,7 +1,7 @@
 //! What all requests share.
 
 use super::counters::Counters;
-use super::engine::{Live, LiveConfig};
+use crate::live::{Live, LiveConfig};
 use super::guard::Guard;
 use super::jobs::Jobs;
 use super::live_mesh::LiveMeshes;

@@ -39,7 +39,7 @@ pub async fn pulse(shared: Arc<Shared>, status: watch::Sender<Arc<str>>, notify:
         }
         let line = match &newest.recording {
             Some(recording) => format!("recording {}, {} scans", recording.session, recording.scans),
-            None => newest.state.to_string(),
+            None => newest.state.name().to_owned(),
         };
         if line != told.1 && told.0.elapsed() >= STATUS_PERIOD {
             notify.status(&line);
@@ -69,15 +69,19 @@ pub async fn repair(shared: Arc<Shared>) {
 }
 
 /// Deletes what is too old or too much, every minute.
-pub async fn retain(shared: Arc<Shared>, retention: Retention) {
-    if retention == Retention::default() {
-        return;
-    }
+pub async fn retain(shared: Arc<Shared>) {
     let mut ticks = interval(RETAIN_PERIOD);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         ticks.tick().await;
-        let work = move |s: &Shared| Ok(expire(&s.directory, &retention, SystemTime::now(), s.recording().as_ref())?);
+        let work = |s: &Shared| {
+            let sessions = s.live.config().sessions;
+            let retention = Retention { keep_days: sessions.keep_days, keep_bytes: sessions.keep_bytes };
+            match retention == Retention::default() {
+                true => Ok(Vec::new()),
+                false => Ok(expire(&s.directory, &retention, SystemTime::now(), s.recording().as_ref())?),
+            }
+        };
         match shared.blocking(work).await {
             Ok(gone) => gone.iter().for_each(|s| tracing::info!(session = %s.name, bytes = s.bytes, "session expired")),
             Err(problem) => tracing::warn!(detail = problem.detail, "sessions could not be expired"),

@@ -3,7 +3,7 @@
 use super::StoreError;
 use crate::replay::ReplayError;
 use gv3_codec::{StreamHeader, decode_stamps};
-use gv3_protocol::session::{Event, EventKind, SessionReader, SessionState, key};
+use gv3_protocol::session::{EventKind, SessionReader, SessionState, key};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -131,7 +131,7 @@ pub fn detail(segments: &[PathBuf]) -> Result<SessionDetail, StoreError> {
             if let EventKind::Drop { cause, count } = &event.kind {
                 *detail.drops.entry(cause.clone()).or_default() += count;
             }
-            detail.events.push(as_value(&event));
+            detail.events.push(event_value(&event));
         }
     }
     let ends = detail.groups.first().zip(detail.groups.last());
@@ -188,8 +188,8 @@ fn group_figures(path: &Path, reader: &mut SessionReader<File>) -> Result<Vec<Gr
     Ok(figures)
 }
 
-/// The event as the interface shows it: its kind under `kind`.
-fn as_value(event: &Event) -> Value {
+/// An event as the interface shows it: its kind under `kind`.
+pub fn event_value(event: &impl Serialize) -> Value {
     let mut fields = match serde_json::to_value(event) {
         Ok(Value::Object(fields)) => fields,
         _ => Map::new(),

@@ -11,7 +11,7 @@ mod repair;
 mod retention;
 mod time_text;
 
-pub use contents::{Curve, FileContents, GroupFigures, SessionDetail, curve, detail};
+pub use contents::{Curve, FileContents, GroupFigures, SessionDetail, curve, detail, event_value};
 pub use directory::{SessionDirectory, SessionSummary, State};
 pub use name::SessionName;
 pub use player::SessionPlayer;
