@@ -3,9 +3,9 @@
 use super::problem::Problem;
 use super::shared::{Shared, State};
 use super::socket::{self, End, Receiver, Sender, close};
+use crate::store::event_value;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::response::Response;
-use crate::store::event_value;
 use serde_json::json;
 use std::sync::Arc;
 use tokio::sync::broadcast::error::RecvError;

@@ -1,9 +1,9 @@
 //! `/live/groups`: the running recording, coded, for recording elsewhere.
 
-use crate::live::LiveGroup;
 use super::problem::Problem;
 use super::shared::{Shared, State};
 use super::socket::{self, End, Receiver, Sender, close};
+use crate::live::LiveGroup;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::response::Response;

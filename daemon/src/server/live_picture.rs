@@ -64,9 +64,7 @@ pub async fn upgrade(
 ) -> Result<Response, Problem> {
     let pace = Pace::new(fps_limited(options.fps)?);
     let stream_shared = Arc::clone(&shared);
-    socket::open(&shared, upgrade?, move |sender, receiver| {
-        stream(stream_shared, sender, receiver, pace, options.view)
-    })
+    socket::open(&shared, upgrade?, move |sender, receiver| stream(stream_shared, sender, receiver, pace, options.view))
 }
 
 async fn stream(shared: Arc<Shared>, sender: Sender, mut receiver: Receiver, mut pace: Pace, view: View) -> End {

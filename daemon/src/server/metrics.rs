@@ -48,8 +48,7 @@ pub async fn metrics(axum::extract::State(shared): State) -> Result<impl IntoRes
 fn server_metrics(shared: &Shared) -> String {
     let mut text = String::new();
     let t = &mut text;
-    family(t, "gauge", "gv3_build_info", "Version of the program.")
-        .labelled("version", env!("CARGO_PKG_VERSION"), 1.0);
+    family(t, "gauge", "gv3_build_info", "Version of the program.").labelled("version", env!("CARGO_PKG_VERSION"), 1.0);
     let mut answers = family(t, "counter", "gv3_http_responses_total", "Answers by class of status.");
     for (class, counter) in ["1xx", "2xx", "3xx", "4xx", "5xx"].iter().zip(&shared.counters.answers) {
         answers = answers.labelled("class", class, counter.get() as f64);

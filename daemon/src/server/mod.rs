@@ -37,6 +37,9 @@ mod token;
 mod upkeep;
 mod zip;
 
+#[cfg(test)]
+mod tests;
+
 pub use notify::Notify;
 pub use shared::ReadConfig;
 pub use token::{Token, TokenError};
@@ -132,6 +135,7 @@ impl Server {
             sockets: Arc::new(Semaphore::new(MAX_SOCKETS)),
             replays: Arc::new(Semaphore::new(MAX_REPLAYS)),
             meshes: Default::default(),
+            thumbnails: Default::default(),
             pictures: Default::default(),
             status_text,
             stopping,

@@ -1,10 +1,10 @@
 //! The scanner, its recordings and its configuration.
 
-use crate::live::{LiveError, LiveStatus, RecordingRequest};
 use super::input::Input;
 use super::problem::Problem;
 use super::shared::{Shared, State};
 use crate::device::plugged::Plugged;
+use crate::live::{LiveError, LiveStatus, RecordingRequest};
 use crate::store::SessionName;
 use axum::Json;
 use axum::http::{StatusCode, header};
@@ -41,9 +41,14 @@ impl From<LiveError> for Problem {
 }
 
 /// POST /login: the token as a cookie.
-pub async fn login(axum::extract::State(shared): State, Input(login): Input<Login>) -> Result<impl IntoResponse, Problem> {
+pub async fn login(
+    axum::extract::State(shared): State,
+    Input(login): Input<Login>,
+) -> Result<impl IntoResponse, Problem> {
     match shared.guard.token() {
-        Some(token) if token.is(&login.token) => Ok((StatusCode::NO_CONTENT, [(header::SET_COOKIE, token.cookie())]).into_response()),
+        Some(token) if token.is(&login.token) => {
+            Ok((StatusCode::NO_CONTENT, [(header::SET_COOKIE, token.cookie())]).into_response())
+        }
         Some(_) => Err(Problem::new(StatusCode::UNAUTHORIZED, "that is not the token")),
         None => Ok(StatusCode::NO_CONTENT.into_response()),
     }
@@ -103,7 +108,8 @@ pub async fn reload(axum::extract::State(shared): State) -> Result<StatusCode, P
 pub async fn reload_now(shared: &Arc<Shared>) -> Result<(), Problem> {
     shared
         .blocking(|s| {
-            let wrong = |reason: String| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, format!("not reloaded: {reason}"));
+            let wrong =
+                |reason: String| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, format!("not reloaded: {reason}"));
             let config = (s.read_config)().map_err(|e| wrong(format!("{e:#}")))?;
             let directory = std::fs::canonicalize(&config.sessions.directory);
             if !directory.is_ok_and(|d| d == s.directory.path()) {

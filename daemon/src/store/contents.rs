@@ -178,8 +178,11 @@ fn group_figures(path: &Path, reader: &mut SessionReader<File>) -> Result<Vec<Gr
         let end = streams.get(at + 1).map_or(reader.groups().len(), |next| next.first_group);
         for group in stream.first_group..end {
             let stored = reader.read_group(group)?;
-            let stamps = decode_stamps(&header, &stored.geometry)
-                .map_err(|source| ReplayError::Payload { path: path.into(), group, source })?;
+            let stamps = decode_stamps(&header, &stored.geometry).map_err(|source| ReplayError::Payload {
+                path: path.into(),
+                group,
+                source,
+            })?;
             let (entry, ticks) = (stored.entry, stamps.iter().map(|s| s.tick).collect::<Vec<_>>());
             let bytes = entry.geometry_bytes + entry.texture_bytes;
             figures.push(GroupFigures { key_tick: entry.key_tick, bytes, scans: ticks.len() as u64, ticks });
@@ -199,4 +202,3 @@ pub fn event_value(event: &impl Serialize) -> Value {
     }
     Value::Object(fields)
 }
-
