@@ -23,22 +23,44 @@ pub struct Decimation {
 impl Decimation {
     /// Chooses at most `max_vertices` (at least 3) of a valid mesh.
     pub fn new(mesh: &TriMesh, max_vertices: usize) -> Self {
-        if mesh.vertex_count() <= max_vertices {
-            return Self { kept: (0..mesh.vertex_count() as u32).collect(), triangles: mesh.triangles.clone() };
-        }
         let (low, high) = mesh.bounds_mm();
         let size = (high - low).max(Vec3::splat(1e-6));
         // As if all of the surface lay square to one axis; what is curved needs larger cells.
-        let mut cell_mm = ((size.x * size.y).max(size.y * size.z).max(size.z * size.x) / max_vertices as f32).sqrt();
-        let mut cells = cells(mesh, low, cell_mm);
+        let area_mm2 = (size.x * size.y).max(size.y * size.z).max(size.z * size.x);
+        Self::with_cells(mesh, max_vertices, area_mm2.sqrt(), |cell_mm| cells(mesh, low, cell_mm))
+    }
+
+    /// The same of a scan whose texture coordinates are places in the camera's picture: cells lie in the picture, which
+    /// is some ten times faster, but for surfaces in front of each other only right where each pixel has one.
+    pub fn of_scan(mesh: &TriMesh, max_vertices: usize) -> Self {
+        match &mesh.uv {
+            Some(uv) if uv.iter().flatten().all(|c| (0.0..=1.0).contains(c)) => {
+                Self::with_cells(mesh, max_vertices, 1.0, |cell| picture_cells(uv, cell))
+            }
+            _ => Self::new(mesh, max_vertices),
+        }
+    }
+
+    /// Enlarges cells, of a surface as large as a square of `side`, until there are few enough.
+    fn with_cells(mesh: &TriMesh, max_vertices: usize, side: f32, cells: impl Fn(f32) -> Cells) -> Self {
+        if mesh.vertex_count() <= max_vertices {
+            return Self { kept: (0..mesh.vertex_count() as u32).collect(), triangles: mesh.triangles.clone() };
+        }
+        let mut size = side / (max_vertices as f32).sqrt();
+        let mut found = cells(size);
+        // Where little of the square is surface, smaller cells show more of it.
+        if found.count * 2 < max_vertices {
+            size *= (found.count.max(1) as f32 / max_vertices as f32).sqrt().max(0.3);
+            found = cells(size);
+        }
         for _ in 0..TRIES {
-            if cells.count <= max_vertices {
+            if found.count <= max_vertices {
                 break;
             }
-            cell_mm *= (cells.count as f32 / max_vertices as f32).sqrt().max(1.02);
-            cells = self::cells(mesh, low, cell_mm);
+            size *= (found.count as f32 / max_vertices as f32).sqrt().max(1.02);
+            found = cells(size);
         }
-        cells.decimation(mesh, max_vertices)
+        found.decimation(mesh, max_vertices)
     }
 }
 
@@ -56,6 +78,24 @@ fn cells(mesh: &TriMesh, low: Vec3, cell_mm: f32) -> Cells {
         *numbers.entry(((*p - low) * scale).as_ivec3()).or_insert(next)
     });
     Cells { of_vertex: of_vertex.collect(), count: numbers.len() }
+}
+
+/// Cells of the unit square, `cell` wide.
+fn picture_cells(uv: &[[f32; 2]], cell: f32) -> Cells {
+    let scale = 1.0 / cell;
+    let columns = scale as usize + 1;
+    let mut numbers = vec![u32::MAX; columns * columns];
+    let mut count = 0;
+    let of_vertex = uv.iter().map(|[u, v]| {
+        let number = &mut numbers[(v * scale) as usize * columns + (u * scale) as usize];
+        if *number == u32::MAX {
+            *number = count;
+            count += 1;
+        }
+        *number
+    });
+    let of_vertex = of_vertex.collect();
+    Cells { of_vertex, count: count as usize }
 }
 
 impl Cells {
@@ -103,7 +143,7 @@ mod tests {
     use super::*;
 
     /// A bowl of `n` x `n` vertices.
-    pub fn bowl(n: u32) -> TriMesh {
+    fn bowl(n: u32) -> TriMesh {
         let at = |i: u32| (i as f32 / (n - 1) as f32 - 0.5) * 100.0;
         let positions_mm =
             (0..n * n).map(|i| Vec3::new(at(i % n), at(i / n), (at(i % n).powi(2) + at(i / n).powi(2)) * 0.01));
@@ -118,8 +158,12 @@ mod tests {
     #[test]
     fn a_large_surface_becomes_a_valid_small_one_of_its_own_vertices() {
         let mesh = bowl(200);
-        for most in [100, 1000, 20_000] {
-            let thin = Decimation::new(&mesh, most);
+        let scan = {
+            let uv = mesh.positions_mm.iter().map(|p| [p.x * 0.004 + 0.5, p.y * 0.004 + 0.5]).collect();
+            TriMesh { uv: Some(uv), ..mesh.clone() }
+        };
+        let both = |most| [Decimation::new(&mesh, most), Decimation::of_scan(&scan, most)];
+        for (most, thin) in [100, 1000, 20_000].into_iter().flat_map(|most| both(most).map(|thin| (most, thin))) {
             assert!(thin.kept.len() <= most && thin.kept.len() > most / 3, "{} of {most}", thin.kept.len());
             let positions_mm = thin.kept.iter().map(|&v| mesh.positions_mm[v as usize]).collect();
             let shown = TriMesh { positions_mm, triangles: thin.triangles, uv: None };

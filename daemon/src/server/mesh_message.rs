@@ -100,7 +100,8 @@ impl MeshMessages {
         }
         let decimation = match known {
             Some((decimation, _)) => decimation,
-            None => Arc::new(Decimation::new(&scan.mesh, self.max_vertices)),
+            None if self.keeps_topology => Arc::new(Decimation::new(&scan.mesh, self.max_vertices)),
+            None => Arc::new(Decimation::of_scan(&scan.mesh, self.max_vertices)),
         };
         self.topology_id = self.topology_id.wrapping_add(1);
         let (triangles, uv) = match self.keeps_topology {

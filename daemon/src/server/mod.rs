@@ -154,7 +154,7 @@ impl Server {
         Arc::clone(&self.reload)
     }
 
-    /// Serves until `stop`, then finishes the recording, tells clients, and closes.
+    /// Serves until `stop`, then finishes the recording, tells clients, closes, and releases the session directory.
     ///
     /// # Errors
     /// [`ServerError::Engine`] when the recording could not be finished and verified.
@@ -179,9 +179,12 @@ impl Server {
         stopping.send_replace(true);
         for task in upkeep {
             task.abort();
+            // Ended or aborted, it is over.
+            let _ = task.await;
         }
         // Its connections end by themselves, or with the runtime.
         let _ = serving.await;
+        shared.directory.release();
         match stopped {
             Ok(Ok(())) => Ok(()),
             Ok(Err(error)) => Err(ServerError::Engine(error.to_string())),

@@ -40,16 +40,28 @@ fn first() -> usize {
     1
 }
 
+/// Of the running recording the engine knows more than the list, which reads finished files alone.
+fn with_live_figures(shared: &Shared, summary: &mut SessionSummary) {
+    if let Some(now) = shared.live.status().recording.filter(|r| r.session == summary.name.as_str()) {
+        (summary.scans, summary.keyframes, summary.seconds) = (now.scans, now.keyframes, now.seconds);
+    }
+}
+
 /// GET /sessions.
 pub async fn list(axum::extract::State(shared): State) -> Result<Json<Sessions>, Problem> {
-    let list = |s: &Shared| Ok(Sessions { sessions: s.directory.list(s.recording().as_ref())? });
+    let list = |s: &Shared| {
+        let mut sessions = s.directory.list(s.recording().as_ref())?;
+        sessions.iter_mut().for_each(|summary| with_live_figures(s, summary));
+        Ok(Sessions { sessions })
+    };
     Ok(Json(shared.blocking(list).await?))
 }
 
 /// GET /sessions/{name}.
 pub async fn one(axum::extract::State(shared): State, Name(name): Name) -> Result<Json<Session>, Problem> {
     let read = move |s: &Shared| {
-        let summary = s.directory.summary(&name, s.recording().as_ref())?;
+        let mut summary = s.directory.summary(&name, s.recording().as_ref())?;
+        with_live_figures(s, &mut summary);
         let detail = match s.directory.files(&name).and_then(|files| store::detail(&files)) {
             Ok(detail) => detail,
             Err(StoreError::RawOnly(_)) => SessionDetail::default(),

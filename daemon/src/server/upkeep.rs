@@ -72,7 +72,8 @@ pub async fn pulse(shared: Arc<Shared>, status: watch::Sender<Arc<str>>, notify:
 pub async fn repair(shared: Arc<Shared>) {
     let work = tokio::task::spawn_blocking(move || {
         let live = shared.live.clone();
-        repair_sessions(&shared.directory, |name| recording_of(&live).as_ref() == Some(name))
+        let is_left_alone = |name: &_| *shared.stopping.borrow() || recording_of(&live).as_ref() == Some(name);
+        repair_sessions(&shared.directory, is_left_alone)
     });
     match work.await {
         Ok(Ok(repaired)) => {

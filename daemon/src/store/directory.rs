@@ -79,7 +79,7 @@ pub(super) struct Segment {
 pub struct SessionDirectory {
     path: PathBuf,
     cache: Mutex<BTreeMap<PathBuf, Cached>>,
-    _lock: File,
+    lock: File,
 }
 
 impl SessionDirectory {
@@ -111,12 +111,20 @@ impl SessionDirectory {
             lock.write_all(text.as_bytes())
         });
         written.map_err(StoreError::io(&lock_path, "write"))?;
-        Ok(Self { path, cache: Mutex::new(BTreeMap::new()), _lock: lock })
+        remove_parts(&path);
+        Ok(Self { path, cache: Mutex::new(BTreeMap::new()), lock })
     }
 
     /// The directory.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Lets other processes have the directory, while handles to it still live here.
+    pub fn release(&self) {
+        if let Err(error) = rustix::fs::flock(&self.lock, FlockOperation::Unlock) {
+            tracing::warn!(%error, "the session directory stays locked until this process ends");
+        }
     }
 
     /// All sessions in the order of their names; `recording` is the one being recorded.
@@ -311,6 +319,16 @@ impl SessionDirectory {
             }
         }
         summary.ratio = obj_bmp_bytes.filter(|&b| b > 0).map(|b| b as f64 / summary.bytes.max(1) as f64);
+    }
+}
+
+/// Removes what a repair left that was killed; the lock says that none is under way.
+fn remove_parts(folder: &Path) {
+    let names = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok).map(|e| e.path());
+    for part in names.filter(|p| p.to_string_lossy().ends_with(".gv3.part")) {
+        if let Err(error) = fs::remove_file(&part) {
+            tracing::warn!(path = %part.display(), %error, "an unfinished repair was not removed");
+        }
     }
 }
 

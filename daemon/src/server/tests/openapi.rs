@@ -139,6 +139,9 @@ async fn every_path_answers_as_described() {
         }
     }
     for (method, path, body) in steps {
+        if path.ends_with("/recording/stop") && server.live.status().recording.is_some() {
+            server.wait_for_scans(1).await;
+        }
         let name = if method == "patch" { "two" } else { "one" };
         let url = path.replace("{name}", if path.contains("reports") { "none" } else { name }).replace("{id}", "1");
         answers_as_described(&server, &document, method, path, &url, body).await;
