@@ -130,10 +130,10 @@ impl Jobs {
     /// When the folder for results cannot be made or the thread not be started.
     pub fn start(sessions: &Path) -> std::io::Result<Self> {
         let folder = sessions.join(FOLDER);
-        if let Err(error) = std::fs::remove_dir_all(&folder) {
-            if error.kind() != std::io::ErrorKind::NotFound {
-                return Err(error);
-            }
+        if let Err(error) = std::fs::remove_dir_all(&folder)
+            && error.kind() != std::io::ErrorKind::NotFound
+        {
+            return Err(error);
         }
         std::fs::create_dir(&folder)?;
         let (queue, work) = sync_channel(MAX_WAITING);

@@ -7,9 +7,12 @@ use tokio::sync::Mutex;
 /// Forms of the newest thing that are kept.
 const MAX_FORMS: usize = 16;
 
+/// A thing and its coded forms.
+type Forms<T, K> = (Option<Arc<T>>, Vec<(K, Bytes)>);
+
 /// Coded forms of the newest thing.
 pub struct Latest<T, K> {
-    coded: Mutex<(Option<Arc<T>>, Vec<(K, Bytes)>)>,
+    coded: Mutex<Forms<T, K>>,
 }
 
 impl<T, K> Default for Latest<T, K> {

@@ -26,10 +26,10 @@ async fn stream(shared: Arc<Shared>, sender: Sender, mut receiver: Receiver) -> 
     // Subscribed before it is asked for: no header is missed, and one that comes both ways is sent once.
     let mut groups = shared.live.groups();
     let header = shared.live.stream_header();
-    if let Some(header) = &header {
-        if let Err(end) = sender.bytes(message(header)).await {
-            return end;
-        }
+    if let Some(header) = &header
+        && let Err(end) = sender.bytes(message(header)).await
+    {
+        return end;
     }
     loop {
         let group = tokio::select! {

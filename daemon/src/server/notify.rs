@@ -68,10 +68,10 @@ impl Notify {
     }
 
     fn send(&self, message: &str) {
-        if let Some((socket, address)) = &self.to {
-            if let Err(error) = socket.send_to_addr(message.as_bytes(), address) {
-                tracing::debug!(%error, "the service manager was not told");
-            }
+        if let Some((socket, address)) = &self.to
+            && let Err(error) = socket.send_to_addr(message.as_bytes(), address)
+        {
+            tracing::debug!(%error, "the service manager was not told");
         }
     }
 }

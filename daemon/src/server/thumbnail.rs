@@ -18,10 +18,13 @@ const HEIGHT_PX: u32 = 240;
 /// Pictures kept in memory.
 const MAX_KEPT: usize = 256;
 
+/// A file, its length and its time of change.
+type FileState = (PathBuf, u64, Option<SystemTime>);
+
 /// Thumbnails drawn before, by the first file and its length and time; one is drawn at a time.
 #[derive(Default)]
 pub struct Thumbnails {
-    kept: tokio::sync::Mutex<BTreeMap<(PathBuf, u64, Option<SystemTime>), Bytes>>,
+    kept: tokio::sync::Mutex<BTreeMap<FileState, Bytes>>,
 }
 
 impl Thumbnails {
