@@ -23,6 +23,8 @@ pub mod live;
 pub mod measure;
 pub mod pipeline;
 pub mod replay;
+pub mod server;
+pub mod store;
 pub mod sweep;
 pub mod usb_device;
 pub mod view;

@@ -1,0 +1,132 @@
+//! The scanner, its recordings and its configuration.
+
+use super::input::Input;
+use super::problem::Problem;
+use super::shared::{Shared, State};
+use crate::device::plugged::Plugged;
+use crate::live::{LiveError, LiveStatus, RecordingRequest};
+use crate::store::SessionName;
+use axum::Json;
+use axum::http::{StatusCode, header};
+use axum::response::IntoResponse;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::sync::Arc;
+
+/// Longest text of a mark, bytes.
+const MAX_MARK_BYTES: usize = 1000;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Login {
+    token: String,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Mark {
+    text: String,
+}
+
+impl From<LiveError> for Problem {
+    fn from(error: LiveError) -> Self {
+        let status = match &error {
+            LiveError::Name(_) => StatusCode::BAD_REQUEST,
+            LiveError::State(_) | LiveError::Timeout(_) => StatusCode::CONFLICT,
+            LiveError::Space { .. } => StatusCode::INSUFFICIENT_STORAGE,
+            LiveError::Device(_) | LiveError::Record(_) | LiveError::Disk { .. } => StatusCode::SERVICE_UNAVAILABLE,
+        };
+        Self::new(status, error.to_string())
+    }
+}
+
+/// POST /login: the token as a cookie.
+pub async fn login(
+    axum::extract::State(shared): State,
+    Input(login): Input<Login>,
+) -> Result<impl IntoResponse, Problem> {
+    match shared.guard.token() {
+        Some(token) if token.is(&login.token) => {
+            Ok((StatusCode::NO_CONTENT, [(header::SET_COOKIE, token.cookie())]).into_response())
+        }
+        Some(_) => Err(Problem::new(StatusCode::UNAUTHORIZED, "that is not the token")),
+        None => Ok(StatusCode::NO_CONTENT.into_response()),
+    }
+}
+
+/// GET /status.
+pub async fn status(axum::extract::State(shared): State) -> Result<Json<LiveStatus>, Problem> {
+    Ok(Json(shared.blocking(|s| Ok(s.live.status())).await?))
+}
+
+/// POST /scanner/start.
+pub async fn start(axum::extract::State(shared): State) -> Result<StatusCode, Problem> {
+    shared.blocking(|s| Ok(s.live.start_scanner()?)).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// POST /scanner/stop.
+pub async fn stop(axum::extract::State(shared): State) -> Result<StatusCode, Problem> {
+    shared.blocking(|s| Ok(s.live.stop_scanner()?)).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// POST /recording/start.
+pub async fn start_recording(
+    axum::extract::State(shared): State,
+    Input(request): Input<RecordingRequest>,
+) -> Result<impl IntoResponse, Problem> {
+    request.name.as_deref().map(SessionName::new).transpose()?;
+    let started = shared.blocking(|s| Ok(s.live.start_recording(request)?)).await?;
+    Ok((StatusCode::CREATED, Json(started)))
+}
+
+/// POST /recording/stop: when it answers, the files are closed, durable and verified.
+pub async fn stop_recording(axum::extract::State(shared): State) -> Result<impl IntoResponse, Problem> {
+    Ok(Json(shared.blocking(|s| Ok(s.live.stop_recording()?)).await?))
+}
+
+/// POST /recording/mark.
+pub async fn mark(axum::extract::State(shared): State, Input(mark): Input<Mark>) -> Result<Json<Value>, Problem> {
+    if mark.text.len() > MAX_MARK_BYTES {
+        return Err(Problem::bad_request(format!("text: longer than {MAX_MARK_BYTES} bytes")));
+    }
+    let tick = shared.blocking(move |s| Ok(s.live.mark(&mark.text)?)).await?;
+    Ok(Json(json!({ "tick": tick })))
+}
+
+/// POST /config/reload.
+pub async fn reload(axum::extract::State(shared): State) -> Result<StatusCode, Problem> {
+    reload_now(&shared).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// Reads the configuration and hands it to the engine, all of it or nothing.
+///
+/// # Errors
+/// [`Problem`]: the file is wrong (422), or the engine refuses it now (409).
+pub async fn reload_now(shared: &Arc<Shared>) -> Result<(), Problem> {
+    shared
+        .blocking(|s| {
+            let wrong =
+                |reason: String| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, format!("not reloaded: {reason}"));
+            let config = (s.read_config)().map_err(|e| wrong(format!("{e:#}")))?;
+            let directory = std::fs::canonicalize(&config.sessions.directory);
+            if !directory.is_ok_and(|d| d == s.directory.path()) {
+                return Err(wrong("sessions.directory is another one; restart the daemon for that".into()));
+            }
+            config.check().map_err(|e| wrong(e.to_string()))?;
+            Ok(s.live.reload(config)?)
+        })
+        .await
+}
+
+/// GET /devices.
+pub async fn devices(axum::extract::State(shared): State) -> Result<Json<Plugged>, Problem> {
+    Ok(Json(shared.blocking(|_| Ok(Plugged::find())).await?))
+}
+
+/// POST /doctor.
+pub async fn doctor() -> Problem {
+    Problem::new(StatusCode::NOT_IMPLEMENTED, "this build has no doctor")
+}
