@@ -1,6 +1,7 @@
 //! Scans to groups, in a thread of its own: one encoder a file.
 
 use super::flow::{End, Item, Outlet};
+use super::degrade::Degradation;
 use super::monitor::{Monitor, Stage, thread_cpu};
 use super::record::RecordError;
 use super::recording::{Encoded, Progress, Recording, ScanObserver, SegmentLimits, payload_bytes};
@@ -118,6 +119,7 @@ impl EncodeStage {
         }
         let (time_nanos, tick) = (scan.time_nanos, scan.tick);
         let begin = Instant::now();
+        encoder.set_corrects_between(self.monitor.degradation() == Degradation::None);
         let pushed = encoder.push(scan);
         run.encoded.time += begin.elapsed();
         run.progress.encoded.fetch_add(1, Ordering::Relaxed);
