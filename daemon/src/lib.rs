@@ -16,6 +16,7 @@ pub mod accuracy;
 pub mod baselines;
 pub mod cli;
 pub mod device;
+pub mod doctor;
 pub mod files;
 pub mod light;
 pub mod measure;

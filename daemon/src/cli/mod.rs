@@ -9,6 +9,7 @@ mod capture;
 mod decode;
 mod demo;
 mod devices;
+mod doctor;
 mod encode;
 mod flatten;
 mod info;
@@ -49,6 +50,7 @@ struct Arguments {
 enum Command {
     Demo(demo::Demo),
     Devices(devices::Devices),
+    Doctor(doctor::Doctor),
     Calibrate(calibrate::Calibrate),
     Capture(capture::Capture),
     Encode(encode::Encode),
@@ -99,6 +101,7 @@ pub fn main() -> ExitCode {
     let outcome = match arguments.command {
         Command::Demo(c) => c.run(),
         Command::Devices(c) => c.run(),
+        Command::Doctor(c) => c.run(),
         Command::Calibrate(c) => c.run(),
         Command::Capture(c) => c.run(),
         Command::Encode(c) => c.run(),
