@@ -6,6 +6,10 @@
 //! clock's drift is followed slowly. Where the driver's number puts a picture within half a period of its time the number
 //! stands, so a late picture is still a late picture of its own pulse.
 //!
+//! A picture may be late by any part of a period: then the driver's number stands, too. Only one that is early or late by whole
+//! periods gets another. And the first picture may itself be late, and everything after it seem early: until a few pictures
+//! have confirmed where the pulses lie, a picture that is early by half a period ends the run, and another is begun.
+//!
 //! What time cannot tell: a run whose very first picture the sensor skipped without the driver's numbers showing it is off by
 //! one throughout. A camera that is started before the first pulse, as it is here, has no reason to.
 //!
@@ -33,6 +37,10 @@ const MOST_HELD: usize = 32;
 const SLICE: Duration = Duration::from_millis(5);
 /// The clock's distance is followed by this part of every picture's.
 const FOLLOW_PART: i128 = 8;
+/// Pictures on time that confirm where the pulses lie.
+const CONFIRMING: u32 = 4;
+/// Who ends a run that began with a late picture.
+const LATE_BEGIN: &str = "the camera, whose first pictures came at the wrong times,";
 /// The device that an [`ExposureFeed`] is of.
 const PROJECTOR: &str = "the projector";
 /// Bad pulses that are remembered.
@@ -47,6 +55,8 @@ struct PulseProof {
     reporter: Option<&'static str>,
     /// Number of a pulse and when it is on the sensor's clock.
     anchor: Option<(i128, i128)>,
+    /// Pictures that were on time.
+    confirmed: u32,
     /// The driver's number and the pulse's of the picture before.
     last: Option<(u64, i128)>,
     /// The last pulse reported, and when it was on the controller's clock.
@@ -83,17 +93,32 @@ impl PulseProof {
         if 2 * (time_nanos - self.due_nanos(anchor, told)).abs() < self.period_nanos {
             return told;
         }
-        anchor.0 + (time_nanos - anchor.1 + self.period_nanos / 2).div_euclid(self.period_nanos)
+        let nearest = anchor.0 + (time_nanos - anchor.1 + self.period_nanos / 2).div_euclid(self.period_nanos);
+        let is_whole = 4 * (time_nanos - self.due_nanos(anchor, nearest)).abs() <= self.period_nanos;
+        if is_whole { nearest } else { told }
+    }
+
+    /// Follows the clock by a picture of a pulse; as long as the pulses' place is not confirmed, being early disproves it.
+    fn follow(&mut self, pulse: i128, is_next: bool, time_nanos: i128) {
+        let due_nanos = self.anchor.map_or(time_nanos, |anchor| self.due_nanos(anchor, pulse));
+        let off_nanos = time_nanos - due_nanos;
+        let is_on_time = 4 * off_nanos.abs() <= self.period_nanos;
+        self.confirmed = self.confirmed.saturating_add(u32::from(is_on_time));
+        let is_early =
+            self.last.is_some_and(|(_, last)| is_next && pulse <= last) || 2 * off_nanos <= -self.period_nanos;
+        if self.confirmed < CONFIRMING && is_early {
+            warn!(pulse, off_nanos, "a picture came too early: those before it were late");
+            self.ended_by = Some(LATE_BEGIN);
+        }
+        let quarter_nanos = self.period_nanos / 4;
+        self.anchor = Some((pulse, due_nanos + off_nanos.clamp(-quarter_nanos, quarter_nanos) / FOLLOW_PART));
     }
 
     fn picture(&mut self, mut frame: Frame) {
         let pulse = self.pulse_of(&frame);
         let time_nanos = i128::from(frame.device_time_nanos);
-        let due_nanos = self.anchor.map_or(time_nanos, |anchor| self.due_nanos(anchor, pulse));
-        let off_nanos = time_nanos - due_nanos;
-        if 4 * off_nanos.abs() <= self.period_nanos {
-            self.anchor = Some((pulse, due_nanos + off_nanos / FOLLOW_PART));
-        }
+        let is_next = self.last.is_some_and(|(sequence, _)| frame.sequence > sequence);
+        self.follow(pulse, is_next, time_nanos);
         self.last = Some((frame.sequence, pulse));
         let Ok(number) = u64::try_from(pulse) else { return };
         self.renumbered += u64::from(number != frame.sequence);
@@ -343,6 +368,41 @@ mod tests {
             proof.picture(f);
         }
         assert_eq!(all(&mut proof), (0..20).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_first_picture_that_is_late_ends_the_run_instead_of_shifting_it() {
+        let late = |parts_late: &[u64]| {
+            let mut proof = proof(false);
+            for k in 0..20 {
+                let mut f = frame(k, k);
+                f.device_time_nanos += PERIOD * parts_late.get(k as usize).unwrap_or(&0) / 100;
+                proof.picture(f);
+            }
+            (proof.ended_by.is_some(), all(&mut proof))
+        };
+        // A quarter late shifts nothing, and nor does what comes later.
+        for parts in [&[25][..], &[45], &[0, 60, 0], &[0, 0, 0, 0, 70, 0, 90, 110, 0], &[0, 0, 0, 0, 160, 60]] {
+            let (is_over, numbers) = late(parts);
+            let right = numbers.iter().zip(0..).filter(|(n, k)| *n == k).count();
+            assert!(!is_over && right + 2 >= 20, "{parts:?}: {numbers:?}");
+            assert_eq!(numbers[10..], (10..20).collect::<Vec<_>>());
+        }
+        // One that is later cannot be told from one that is missing: nobody guesses.
+        for parts in [&[60][..], &[100], &[160, 61], &[90, 90], &[300, 210, 120, 30], &[0, 100]] {
+            assert!(late(parts).0, "{parts:?}");
+        }
+    }
+
+    #[test]
+    fn pulses_that_slip_little_by_little_keep_their_numbers() {
+        let mut proof = proof(false);
+        for k in 0..400 {
+            let mut f = frame(k, k);
+            f.device_time_nanos += k / 40 * (PERIOD * 3 / 10);
+            proof.picture(f);
+        }
+        assert_eq!(all(&mut proof), (0..400).collect::<Vec<_>>());
     }
 
     #[test]

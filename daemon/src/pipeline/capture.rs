@@ -199,7 +199,12 @@ impl<'a> Capture<'a> {
                 return Ok(());
             }
             // Whoever is still there begins anew, too; whoever is not cannot be stopped.
-            let quiet = disarm(self.rig).and(self.rig.projector.stop());
+            let mut quiet = disarm(self.rig).and(self.rig.projector.stop());
+            if self.last_tick.is_none() {
+                // Nothing is there that time would have to go on from.
+                quiet = quiet.and(self.rig.camera.stop());
+                self.first_tick = None;
+            }
             match begin(self.rig) {
                 Ok(()) => {
                     self.timeouts = 0;
