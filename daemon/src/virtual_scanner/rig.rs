@@ -3,6 +3,7 @@
 //! The rig's time goes with the wall's, or slower, but never ahead of the host: a pulse waits until the camera's last pictures
 //! have been fetched. So a host that is slow, or a simulator, sees the same pictures as a fast one.
 
+use super::LightCrafter;
 use crate::device::sim::{FaultKind, Gv3Device, Light};
 use crate::device::{PatternIndex, RigConfig};
 use gv3_codec::GreyPicture;
@@ -43,6 +44,8 @@ pub enum CableFault {
     Short,
     /// A cable is pulled, and put back after a second.
     Unplugged(DeviceKind),
+    /// The projector falls back to showing its video input, or goes dark where it has none.
+    WrongMode,
 }
 
 /// A fault and the pulse it comes with, counted from the start of the program.
@@ -67,12 +70,13 @@ impl FromStr for PulseFault {
             "saturated" => CableFault::Picture(FaultKind::Saturated),
             "stalled" => CableFault::Picture(FaultKind::Stalled),
             "short" => CableFault::Short,
+            "wrong-mode" => CableFault::WrongMode,
             "unplug-camera" => CableFault::Unplugged(DeviceKind::Camera),
             "unplug-projector" => CableFault::Unplugged(DeviceKind::Projector),
             "unplug-trigger" => CableFault::Unplugged(DeviceKind::Trigger),
             _ => {
                 return Err(format!(
-                    "{kind}: a fault is lost, doubled, late, saturated, stalled, short, unplug-camera, unplug-projector or unplug-trigger"
+                    "{kind}: a fault is lost, doubled, late, saturated, stalled, short, wrong-mode, unplug-camera, unplug-projector or unplug-trigger"
                 ));
             }
         };
@@ -174,6 +178,8 @@ enum TriggerLine {
 pub struct VirtualRig {
     /// The projector.
     pub projector: Gv3Device,
+    /// The device that the projector is driven as, where it is not by the vendor protocol.
+    pub light_crafter: Option<LightCrafter>,
     /// The trigger controller.
     pub trigger: TriggerModel,
     /// The camera.
@@ -206,6 +212,7 @@ impl VirtualRig {
         };
         Self {
             projector: Gv3Device::simulated(size_px, "virtual-projector-1"),
+            light_crafter: None,
             trigger: TriggerModel::new("virtual-trigger-1"),
             camera,
             line: if has_controller { TriggerLine::Controller } else { TriggerLine::Projector },
@@ -351,8 +358,11 @@ impl VirtualRig {
     fn fault(&mut self) -> Option<CableFault> {
         let found = self.faults.iter().find(|f| f.pulse == self.pulses).map(|f| f.fault);
         self.pulses += 1;
-        if let Some(CableFault::Unplugged(kind)) = found {
-            self.pulled.insert(kind);
+        match (found, &mut self.light_crafter) {
+            (Some(CableFault::Unplugged(kind)), _) => drop(self.pulled.insert(kind)),
+            (Some(CableFault::WrongMode), Some(device)) => device.lose_mode(&mut self.projector),
+            (Some(CableFault::WrongMode), None) => self.reset_projector(),
+            _ => {}
         }
         found
     }
