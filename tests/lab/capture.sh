@@ -6,7 +6,8 @@
 # Exit code 0 when all is well or there is no lab, 1 otherwise. SETS (default 60: two seconds of a scanner with 30 scans/s) is
 # the length of the clean run, PERIOD_MS (default 250) the time from picture to picture. The emulated machine stamps pictures
 # when they arrive; when the computer is so busy that one comes a quarter of a period late its set is dropped. A run with too few
-# sets is tried again, twice; a set that is wrong ends everything. RUNS names the runs to make, all by default.
+# sets is tried again, twice; a set that is wrong ends everything, unless
+# the computer was so busy that even the virtual rig's own clock stood still. RUNS names the runs to make, all by default.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 lab=${GV3_LAB:-../shared/lab}
@@ -109,13 +110,22 @@ run() {
     sed 's/^/   /' "$work/$name/messages"
 }
 
+# That the virtual rig's time stood still for more than half a period, because the emulated machine did not fetch its pictures.
+stood() {
+    stood_ms=$(sed -n 's/.*stood_ms=\([0-9]*\).*/\1/p' "$work/$name.scanner" | tail -n 1)
+    [ $((2 * ${stood_ms:-0})) -gt "$period_ms" ]
+}
+
 # Every whole set of a run is, all six pictures of it, one set of the simulator's. 1 when there are fewer than `least` of them.
 compare() {
     name=$1 least=$2
     "$GV3" export-raw "$work/$name/raw" -o "$work/$name/pictures" >/dev/null
     hashes "$work/$name/pictures" >"$work/$name.hashes"
     while read -r set hash; do
-        grep -q " $hash\$" "$work/expected.hashes" || fail "$name: $set is no set of the simulator's"
+        grep -q " $hash\$" "$work/expected.hashes" && continue
+        # No scanner's clock stops for want of a reader; gv3 cannot tell a rig that does from one that misses pictures.
+        if stood; then echo "   void: the virtual rig's time stood still for $stood_ms ms"; return 1; fi
+        fail "$name: $set is no set of the simulator's"
     done <"$work/$name.hashes"
     same=$(wc -l <"$work/$name.hashes")
     echo "   $same whole sets, each one of the simulator's"

@@ -11,7 +11,9 @@
 //! have confirmed where the pulses lie, a picture that is early by half a period ends the run, and another is begun.
 //!
 //! What time cannot tell: a run whose very first picture the sensor skipped without the driver's numbers showing it is off by
-//! one throughout. A camera that is started before the first pulse, as it is here, has no reason to.
+//! one throughout. A camera that is started before the first pulse, as it is here, has no reason to. And pictures that are all
+//! held up by a whole period for as long as a set lasts, with no gap in the driver's numbers, look like those after a picture
+//! that the sensor skipped.
 //!
 //! With a trigger controller, or a projector that reports its exposures, every pulse must be reported besides: pictures wait
 //! until the report of their pulse, or of a later one of the same schedule, has come. Pulses that came late, or not at all,

@@ -17,6 +17,8 @@ use std::time::{Duration, Instant};
 const CAMERA_PICTURES: usize = 2;
 /// How late a pulse may come before the time in between is taken out of the rig's time.
 const MAX_LATE: Duration = Duration::from_millis(20);
+/// Standing still is told whenever so much more of it has come together.
+const TOLD_NANOS: u64 = 10_000_000;
 /// How often the rig looks for what its hosts have changed.
 const IDLE: Duration = Duration::from_millis(4);
 /// How long a stalled transfer stands.
@@ -189,6 +191,8 @@ pub struct VirtualRig {
     /// A wall time and the rig's time at it.
     begin: (Instant, u64),
     slower: f64,
+    /// How long its time has stood still, in all.
+    stood_nanos: u64,
     /// Start of the run and pulses in it.
     run: Option<(u64, u64)>,
     /// When the projector began to play, and its steps since; a projector that begins anew begins with its first pattern.
@@ -219,6 +223,7 @@ impl VirtualRig {
             clock_nanos: 0,
             begin: (Instant::now(), 0),
             slower,
+            stood_nanos: 0,
             run: None,
             steps: (0, 0),
             pulses: 0,
@@ -304,14 +309,24 @@ impl VirtualRig {
         if self.is_streaming() && self.camera.pictures.len() >= CAMERA_PICTURES {
             // Time stands until the host has fetched one.
             self.tick(now);
-            self.begin = (now, next);
+            self.stand(now, next);
             return Step::Wait(IDLE);
         }
         if Duration::from_nanos(self.wall_nanos(now) - next) > MAX_LATE {
-            self.begin = (now, next);
+            self.stand(now, next);
         }
         self.set_clock(next);
         Step::Pulse(self.pulse(next))
+    }
+
+    /// Takes the time since `next` was due out of the rig's time.
+    fn stand(&mut self, now: Instant, next: u64) {
+        let before_nanos = self.stood_nanos;
+        self.stood_nanos += self.wall_nanos(now).saturating_sub(next);
+        self.begin = (now, next);
+        if self.stood_nanos / TOLD_NANOS != before_nanos / TOLD_NANOS {
+            tracing::warn!(stood_ms = self.stood_nanos / 1_000_000, "the host is slow: the rig's time stood still");
+        }
     }
 
     /// The pulse that is due.
