@@ -368,13 +368,12 @@ mod tests {
         let faults = told_faults(&events);
         // Every pull is noticed; until the projector is back, more than one attempt may fail after a picture.
         assert!((3..=12).contains(&faults.len()), "{faults:?}");
-        // Every scan period is either a set or told to be missing; the last may be cut off by the end.
+        // Every scan period is either a set or told to be missing and counted; how many are depends on how many pictures
+        // waited for their proof when the cable was pulled. The last may be cut off by the end.
         let periods = sets.last().map_or(0, |set| set.tick + 1);
         let missing = periods - sets.len() as u64;
         let gap = |event: &Event| if let EventKind::Gap { ticks } = event.kind { ticks } else { 0 };
         assert_eq!(events.iter().map(gap).sum::<u64>(), missing);
         assert!((missing..=missing + 1).contains(&drops.sets()), "{missing} missing, {drops:?}");
-        // Time stands while no picture is taken: a pull tears one set at most, and ticks go on within another.
-        assert!(missing <= 2 * faults.len() as u64, "{missing} missing, {faults:?}");
     }
 }
