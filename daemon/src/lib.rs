@@ -17,6 +17,7 @@ pub mod accuracy;
 pub mod baselines;
 pub mod cli;
 pub mod device;
+pub mod doctor;
 pub mod files;
 pub mod light;
 pub mod live;

@@ -2,10 +2,8 @@
 # The rules of udev/70-gv3.rules in the virtual-machine lab, with a real udev and real drivers: mode and group of every node,
 # access for a member of the group and for nobody else, the uaccess tag.
 #
-#   tests/lab/udev.sh [DLPC350]
-#
-# DLPC350 is a program that plugs an emulated DLPC350 (0451:6401) into the guest's vhci_hcd and stays. The vendor's device and
-# its serial port come from the lab's own simulator. Exit code 0 when all is well or there is no lab, 1 otherwise.
+# The vendor's device and its serial port come from the lab's own simulator, the DLPC350 (0451:6401) from
+# `gv3 virtual-scanner --attach` in the guest. Exit code 0 when all is well or there is no lab, 1 otherwise.
 set -euo pipefail
 HERE=$(cd "$(dirname "$(readlink -f "$0")")" && pwd)
 LAB=${GV3_LAB:-$HERE/../../../shared/lab}
@@ -15,9 +13,17 @@ if [ ! -x "$LAB/lab-run" ] || [ ! -e "$CACHE/base.cpio" ]; then
     exit 0
 fi
 SHARE=("$HERE/../../udev/70-gv3.rules")
-[ $# = 0 ] || SHARE+=("$1")
+if [ -z "${GV3:-}" ]; then
+    (cd "$HERE/../.." && cargo build --quiet --locked -p gv3)
+    GV3=$HERE/../../${CARGO_TARGET_DIR:-target}/debug/gv3
+    [ -z "${CARGO_TARGET_DIR:-}" ] || GV3=$CARGO_TARGET_DIR/debug/gv3
+fi
+STRIPPED=$(mktemp -d)
+trap 'rm -rf "$STRIPPED"' EXIT
+strip -o "$STRIPPED/gv3" "$GV3"
+SHARE+=("$STRIPPED/gv3")
 # shellcheck disable=SC2016
-"$LAB/lab-run" --udev --timeout 300 --env "DLPC350=${1:+${1##*/}}" --share "${SHARE[@]}" -c '
+"$LAB/lab-run" --udev --timeout 300 --share "${SHARE[@]}" -c '
 bad=0
 check() { if [ "$2" = "$3" ]; then echo "ok   $1: $2"; else echo "FAIL $1: $2, expected $3"; bad=1; fi; }
 node() { # name node
@@ -44,12 +50,10 @@ node trigger /dev/ttyACM0
 check "trigger left alone by ModemManager" "$(udevadm info -q property -n /dev/ttyACM0 | grep ID_MM_PORT_IGNORE)" ID_MM_PORT_IGNORE=1
 # The same simulator shows a HID interface that is no DLPC350: it stays root alone.
 [ -e /dev/hidraw0 ] && check "another HID device" "$(stat -c %a:%G /dev/hidraw0)" 600:root
-if [ -n "$DLPC350" ]; then
-  "$DLPC350" >/dev/null 2>&1 &
-  for i in $(seq 100); do dlpc=$(usb_node 0451 6401); [ -n "$dlpc" ] && break; usleep 100000; done
-  udevadm settle
-  node "DLPC350 USB device" "$dlpc"
-  for h in /sys/class/hidraw/*; do grep -q "^HID_ID=.*:00000451:00006401" $h/device/uevent && raw=/dev/${h##*/}; done
-  node "DLPC350 hidraw" "$raw"
-fi
+gv3 virtual-scanner --attach --devices projector --projector dlpc350 >/tmp/virtual-scanner 2>&1 &
+for i in $(seq 100); do dlpc=$(usb_node 0451 6401); [ -n "$dlpc" ] && break; usleep 100000; done
+udevadm settle
+node "DLPC350 USB device" "$dlpc"
+for h in /sys/class/hidraw/*; do grep -q "^HID_ID=.*:00000451:00006401" $h/device/uevent && raw=/dev/${h##*/}; done
+node "DLPC350 hidraw" "$raw"
 exit $bad'

@@ -2,3 +2,4 @@
 
 pub mod coded_run;
 pub mod moving_face;
+pub mod virtual_rig;

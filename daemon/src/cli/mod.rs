@@ -11,6 +11,7 @@ mod ctl;
 mod decode;
 mod demo;
 mod devices;
+mod doctor;
 mod encode;
 mod flatten;
 mod info;
@@ -52,6 +53,7 @@ struct Arguments {
 enum Command {
     Demo(demo::Demo),
     Devices(devices::Devices),
+    Doctor(doctor::Doctor),
     Calibrate(calibrate::Calibrate),
     Capture(capture::Capture),
     Serve(serve::Serve),
@@ -99,6 +101,7 @@ pub fn main() -> ExitCode {
     let outcome = match arguments.command {
         Command::Demo(c) => c.run(),
         Command::Devices(c) => c.run(),
+        Command::Doctor(c) => c.run(),
         Command::Calibrate(c) => c.run(),
         Command::Capture(c) => c.run(),
         Command::Serve(c) => c.run(),

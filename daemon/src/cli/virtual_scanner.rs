@@ -1,10 +1,10 @@
 //! `gv3 virtual-scanner`: the simulated scanner as USB devices.
 
 use super::Outcome;
-use crate::device::RigConfig;
+use crate::device::{Backend, RigConfig};
 use crate::usb_device::connection::Bell;
 use crate::usb_device::server::{Exported, Server};
-use crate::virtual_scanner::{DeviceKind, PulseFault, VirtualConfig, VirtualScanner};
+use crate::virtual_scanner::{DeviceKind, ProjectorKind, PulseFault, VirtualConfig, VirtualScanner};
 use anyhow::{Context, Result, anyhow};
 use clap::{Args, ValueEnum};
 use std::io::Write;
@@ -19,7 +19,7 @@ use std::sync::{Arc, mpsc};
 /// usb-redir). Time goes with the wall's but waits for a host that does not fetch its pictures. Runs until Ctrl-C.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  gv3 virtual-scanner --listen 127.0.0.1:3240 &\n  usbip attach -r 127.0.0.1 -b 1-1\n\n  sudo gv3 virtual-scanner --attach --config rig.toml\n  gv3 virtual-scanner --devices camera --play --redir /tmp/usb\n  qemu-system-x86_64 ... -device qemu-xhci -chardev socket,id=c,path=/tmp/usb/camera.sock,reconnect=1 -device usb-redir,chardev=c\n  gv3 virtual-scanner --fault lost@40 --fault unplug-projector@300"
+    after_help = "Examples:\n  gv3 virtual-scanner --listen 127.0.0.1:3240 &\n  usbip attach -r 127.0.0.1 -b 1-1\n\n  sudo gv3 virtual-scanner --attach --config rig.toml\n  gv3 virtual-scanner --devices camera --play --redir /tmp/usb\n  qemu-system-x86_64 ... -device qemu-xhci -chardev socket,id=c,path=/tmp/usb/camera.sock,reconnect=1 -device usb-redir,chardev=c\n  gv3 virtual-scanner --projector dlpc350 --fault wrong-mode@100\n  gv3 virtual-scanner --fault lost@40 --fault unplug-projector@300"
 )]
 pub struct VirtualScannerCommand {
     /// Rig file; its patterns, calibration and [sim] are used, its backends are not. Else the built-in simulated scanner.
@@ -37,14 +37,17 @@ pub struct VirtualScannerCommand {
     /// Devices to serve. With the trigger controller its pulses trigger the camera, else the projector does.
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [DeviceKind::Camera, DeviceKind::Projector])]
     devices: Vec<DeviceKind>,
+    /// What the projector is; else what the rig file says.
+    #[arg(long, value_enum)]
+    projector: Option<ProjectorKind>,
     /// The rig's sequence plays whenever the camera streams, for work on a camera alone; serves no projector.
     #[arg(long)]
     play: bool,
     /// Wall time over the scanner's; for hosts that cannot keep up.
     #[arg(long, default_value_t = 1.0, value_parser = factor)]
     slower: f64,
-    /// What goes wrong, KIND@PULSE, pulses counted from 0: lost, doubled, late, saturated, stalled, short, unplug-camera,
-    /// unplug-projector, unplug-trigger. A pulled cable is put back after a second where the host's side allows it.
+    /// What goes wrong, KIND@PULSE, pulses counted from 0: lost, doubled, late, saturated, stalled, short, wrong-mode,
+    /// unplug-camera, unplug-projector, unplug-trigger. A pulled cable is put back after a second where the host's side allows it.
     #[arg(long = "fault", value_name = "KIND@PULSE")]
     faults: Vec<PulseFault>,
     /// The camera delivers another size than the rig's.
@@ -70,8 +73,13 @@ impl VirtualScannerCommand {
         devices.sort();
         devices.dedup();
         devices.retain(|d| !self.play || *d == DeviceKind::Camera);
+        let projector = self.projector.unwrap_or(match config.projector.backend {
+            Backend::Dlpc350 => ProjectorKind::Dlpc350,
+            _ => ProjectorKind::Gv3,
+        });
         let settings = VirtualConfig {
             devices,
+            projector,
             camera_size_px: self.camera_size,
             slower: self.slower,
             plays_itself: self.play,

@@ -1,10 +1,14 @@
 //! A camera whose every picture is proven to belong to its pulse.
 //!
 //! A driver's own numbers do not prove it: a picture that the sensor skipped leaves no gap in them, and from then on every
-//! picture would be taken for the pattern of the one before. So pictures are numbered by their time. The first picture of a run
-//! fixes where pulse 0 lies on the sensor's clock; from then on a picture belongs to the pulse that is nearest to it, and the
-//! clock's drift is followed slowly. Where the driver's number puts a picture within half a period of its time the number
-//! stands, so a late picture is still a late picture of its own pulse.
+//! picture would be taken for the pattern of the one before. So every number is held against the picture's time. The first
+//! picture of a run fixes where pulse 0 lies on the sensor's clock, and the clock's drift is followed slowly. A picture that is
+//! late by part of a period is still one of its own pulse, and its number stands. One that comes whole periods before it is
+//! due is one that came twice, and gets the number of its time. One that comes whole periods late may have been held up, or may
+//! be of a later pulse: it is left out, and when several in a row are late, nobody guesses, and the run is over.
+//!
+//! The first picture may itself be late, and everything after it seem early: until a few pictures have confirmed where the
+//! pulses lie, a picture that is early by half a period ends the run, too.
 //!
 //! What time cannot tell: a run whose very first picture the sensor skipped without the driver's numbers showing it is off by
 //! one throughout. A camera that is started before the first pulse, as it is here, has no reason to.
@@ -33,6 +37,15 @@ const MOST_HELD: usize = 32;
 const SLICE: Duration = Duration::from_millis(5);
 /// The clock's distance is followed by this part of every picture's.
 const FOLLOW_PART: i128 = 8;
+/// Pictures on time that confirm where the pulses lie.
+const CONFIRMING: u32 = 4;
+/// Who ends a run that began with a late picture.
+const LATE_BEGIN: &str = "the camera, whose first pictures came at the wrong times,";
+/// Pictures in a row that came whole periods late, after which a run is over, and who ends it.
+const MOST_LATE: u32 = 3;
+const OUT_OF_STEP: &str = "the camera, whose pictures come whole pulses late,";
+/// Pictures too many that a driver may count.
+const MOST_REPEATS: i128 = 8;
 /// The device that an [`ExposureFeed`] is of.
 const PROJECTOR: &str = "the projector";
 /// Bad pulses that are remembered.
@@ -47,6 +60,10 @@ struct PulseProof {
     reporter: Option<&'static str>,
     /// Number of a pulse and when it is on the sensor's clock.
     anchor: Option<(i128, i128)>,
+    /// Pictures that were on time.
+    confirmed: u32,
+    /// Pictures in a row that were left out because they came whole periods late.
+    late: u32,
     /// The driver's number and the pulse's of the picture before.
     last: Option<(u64, i128)>,
     /// The last pulse reported, and when it was on the controller's clock.
@@ -74,26 +91,55 @@ impl PulseProof {
         time_nanos + (pulse - number) * self.period_nanos
     }
 
-    fn pulse_of(&self, frame: &Frame) -> i128 {
+    /// The pulse of a picture; `None` when it comes whole periods late, or its time is a wild one.
+    fn pulse_of(&self, frame: &Frame) -> Option<i128> {
         let (Some(anchor), Some((sequence, number))) = (self.anchor, self.last) else {
-            return i128::from(frame.sequence);
+            return Some(frame.sequence.into());
         };
         let time_nanos = i128::from(frame.device_time_nanos);
         let told = number + i128::from(frame.sequence) - i128::from(sequence);
         if 2 * (time_nanos - self.due_nanos(anchor, told)).abs() < self.period_nanos {
-            return told;
+            return Some(told);
         }
-        anchor.0 + (time_nanos - anchor.1 + self.period_nanos / 2).div_euclid(self.period_nanos)
+        let nearest = anchor.0 + (time_nanos - anchor.1 + self.period_nanos / 2).div_euclid(self.period_nanos);
+        let is_whole = 4 * (time_nanos - self.due_nanos(anchor, nearest)).abs() <= self.period_nanos;
+        match told - nearest {
+            back if back.abs() > MOST_REPEATS => None,
+            _ if !is_whole => Some(told),
+            back => (back > 0).then_some(nearest),
+        }
+    }
+
+    /// Follows the clock by a picture of a pulse; as long as the pulses' place is not confirmed, being early disproves it.
+    fn follow(&mut self, pulse: i128, is_next: bool, time_nanos: i128) {
+        let due_nanos = self.anchor.map_or(time_nanos, |anchor| self.due_nanos(anchor, pulse));
+        let off_nanos = time_nanos - due_nanos;
+        let is_on_time = 4 * off_nanos.abs() <= self.period_nanos;
+        self.confirmed = self.confirmed.saturating_add(u32::from(is_on_time));
+        let is_early =
+            self.last.is_some_and(|(_, last)| is_next && pulse <= last) || 2 * off_nanos <= -self.period_nanos;
+        if self.confirmed < CONFIRMING && is_early {
+            warn!(pulse, off_nanos, "a picture came too early: those before it were late");
+            self.ended_by = Some(LATE_BEGIN);
+        }
+        let quarter_nanos = self.period_nanos / 4;
+        self.anchor = Some((pulse, due_nanos + off_nanos.clamp(-quarter_nanos, quarter_nanos) / FOLLOW_PART));
     }
 
     fn picture(&mut self, mut frame: Frame) {
-        let pulse = self.pulse_of(&frame);
+        let Some(pulse) = self.pulse_of(&frame) else {
+            self.disproven += 1;
+            self.late += 1;
+            if self.late >= MOST_LATE {
+                warn!(sequence = frame.sequence, "pictures come whole pulses late: held up, or of later pulses");
+                self.ended_by = Some(OUT_OF_STEP);
+            }
+            return;
+        };
+        self.late = 0;
         let time_nanos = i128::from(frame.device_time_nanos);
-        let due_nanos = self.anchor.map_or(time_nanos, |anchor| self.due_nanos(anchor, pulse));
-        let off_nanos = time_nanos - due_nanos;
-        if 4 * off_nanos.abs() <= self.period_nanos {
-            self.anchor = Some((pulse, due_nanos + off_nanos / FOLLOW_PART));
-        }
+        let is_next = self.last.is_some_and(|(sequence, _)| frame.sequence > sequence);
+        self.follow(pulse, is_next, time_nanos);
         self.last = Some((frame.sequence, pulse));
         let Ok(number) = u64::try_from(pulse) else { return };
         self.renumbered += u64::from(number != frame.sequence);
@@ -322,16 +368,34 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_that_the_driver_does_not_miss_is_missed() {
+    fn a_picture_that_the_driver_does_not_miss_ends_the_run() {
         let mut proof = proof(false);
         // The sensor skipped pulse 4: its numbers go on as if nothing was.
-        (0..4).chain(5..12).enumerate().for_each(|(n, pulse)| proof.picture(frame(n as u64, pulse)));
-        let frames: Vec<Frame> = std::iter::from_fn(|| proof.take()).collect();
-        for f in &frames {
-            assert_eq!(f.sequence, u64::from(f.picture.pixels[0]));
-            assert_eq!(u64::from(f.pattern.0), f.sequence % PATTERNS);
+        for (n, pulse) in (0..4).chain(5..8).enumerate() {
+            assert!(proof.ended_by.is_none(), "pulse {pulse}");
+            proof.picture(frame(n as u64, pulse));
         }
-        assert_eq!((frames.len(), proof.renumbered), (11, 7));
+        assert_eq!((proof.ended_by, proof.disproven, all(&mut proof)), (Some(OUT_OF_STEP), 3, (0..4).collect()));
+    }
+
+    #[test]
+    fn pictures_that_were_held_up_are_left_out_and_those_after_them_are_right() {
+        let mut proof = proof(false);
+        // Pulses 8 and 9 come with 12 and 13, of which the camera had no room for 10 to 13; the driver does not know.
+        let held = [8, 9].map(|k| Frame { device_time_nanos: frame(k, k + 4).device_time_nanos, ..frame(k, k) });
+        (0..8).map(|k| frame(k, k)).chain(held).for_each(|f| proof.picture(f));
+        assert_eq!((all(&mut proof), proof.ended_by), ((0..8).collect(), None));
+        (14..20).for_each(|k| proof.picture(frame(k - 4, k)));
+        assert_eq!((all(&mut proof), proof.ended_by), (Vec::new(), Some(OUT_OF_STEP)));
+    }
+
+    #[test]
+    fn a_picture_that_came_twice_is_known_as_one() {
+        let mut proof = proof(false);
+        // The driver counts the second one as another.
+        (0..20).for_each(|n| proof.picture(frame(n, if n < 9 { n } else { n - 1 })));
+        let numbers = all(&mut proof);
+        assert_eq!((numbers, proof.ended_by), ((0..9).chain(8..19).collect(), None));
     }
 
     #[test]
@@ -343,6 +407,42 @@ mod tests {
             proof.picture(f);
         }
         assert_eq!(all(&mut proof), (0..20).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_first_picture_that_is_late_ends_the_run_instead_of_shifting_it() {
+        let late = |parts_late: &[u64]| {
+            let mut proof = proof(false);
+            for k in 0..20 {
+                let mut f = frame(k, k);
+                f.device_time_nanos += PERIOD * parts_late.get(k as usize).unwrap_or(&0) / 100;
+                proof.picture(f);
+            }
+            (proof.ended_by.is_some(), all(&mut proof))
+        };
+        // A quarter late shifts nothing, and nor does what comes later.
+        for parts in [&[25][..], &[45], &[0, 60, 0], &[0, 0, 0, 0, 70, 0, 60, 65, 0], &[0, 0, 0, 0, 160, 60], &[0, 100]]
+        {
+            let (is_over, numbers) = late(parts);
+            let right = (0..20).filter(|k| numbers.contains(k)).count();
+            assert!(!is_over && right + 2 >= 20, "{parts:?}: {numbers:?}");
+            assert!(numbers.ends_with(&[12, 13, 14, 15, 16, 17, 18, 19]), "{numbers:?}");
+        }
+        // One that is later cannot be told from one that is missing: nobody guesses.
+        for parts in [&[60][..], &[100], &[160, 61], &[90, 90], &[300, 210, 120, 30]] {
+            assert!(late(parts).0, "{parts:?}");
+        }
+    }
+
+    #[test]
+    fn pulses_that_slip_little_by_little_keep_their_numbers() {
+        let mut proof = proof(false);
+        for k in 0..400 {
+            let mut f = frame(k, k);
+            f.device_time_nanos += k / 40 * (PERIOD * 3 / 10);
+            proof.picture(f);
+        }
+        assert_eq!(all(&mut proof), (0..400).collect::<Vec<_>>());
     }
 
     #[test]
@@ -413,6 +513,9 @@ mod tests {
                 f.picture.pixels = vec![(pulse % 256) as u8];
                 proof.picture(f);
                 sequence += 1;
+                if proof.ended_by.is_some() {
+                    break;
+                }
             }
             while let Some(f) = proof.take() {
                 prop_assert_eq!((f.sequence % 256) as u8, f.picture.pixels[0]);

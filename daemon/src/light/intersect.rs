@@ -94,6 +94,13 @@ pub fn intersect(
     Ok(grid)
 }
 
+/// Distance of a projector pixel from the epipolar line of a camera pixel, projector pixels; `None` where a lens folds, or where
+/// the rays meet behind the rig.
+pub fn epipolar_distance_px(calibration: &Calibration, camera_px: DVec2, projector_px: DVec2) -> Option<f64> {
+    let ray = calibration.projector_from_camera.matrix() * calibration.camera.unproject(camera_px)?.extend(1.0);
+    depth_mm(calibration, ray, Some(projector_px.x), Some(projector_px.y)).map(|(_, distance_px)| distance_px)
+}
+
 /// Depth along a ray, mm, and distance of the projector pixel from the epipolar line, px; `None` where the lens folds.
 fn depth_mm(calibration: &Calibration, ray: DVec3, column_px: Option<f64>, row_px: Option<f64>) -> Option<(f64, f64)> {
     let projector = &calibration.projector;

@@ -139,6 +139,17 @@ impl FrameSetAssembler {
         self.last_dropped_tick
     }
 
+    /// Scan period of a frame that is yet to be taken; `None` when its number and its time contradict each other.
+    pub fn tick_of(&self, frame: &Frame) -> Option<u64> {
+        let base = self.base.unwrap_or_else(|| self.base_of(frame));
+        self.place(&base, frame).map(|place| tick_after(&base, place.sets))
+    }
+
+    /// The scan period after the last one that is closed; `None` while a set is open.
+    pub fn complete_ticks(&self) -> Option<u64> {
+        self.open.filter(|open| open.is_closed).map(|open| open.tick.saturating_add(1))
+    }
+
     /// What was dropped so far.
     pub fn drops(&self) -> DropCounts {
         self.drops

@@ -3,28 +3,43 @@
 //! All three live in one [`VirtualRig`]; one thread, the [`RigClock`], moves its time and renders what the camera sees.
 
 mod cdc_acm;
+mod light_crafter;
 mod projector;
 mod rig;
 mod uvc;
 
 pub use cdc_acm::SerialTrigger;
+pub use light_crafter::{HidProjector, LightCrafter};
 pub use projector::VendorProjector;
 pub use rig::{CableFault, CameraLink, DeviceKind, Picture, Pulse, PulseFault, Step, UNIT_GAIN, VirtualRig};
 pub use uvc::UvcCamera;
 
 use crate::device::sim::{FaultKind, SimWorld};
-use crate::device::{DeviceError, PatternIndex, RigConfig};
+use crate::device::{DeviceError, PatternIndex, RigConfig, SequenceTiming};
+use crate::light::{Direction, PatternSequence};
 use crate::usb_device::connection::{Bell, SharedDevice};
 use gv3_codec::GreyPicture;
 use gv3_protocol::gv3::{Axis, Request, Timing};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+/// What the virtual projector is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum ProjectorKind {
+    /// The gv3 vendor protocol.
+    #[default]
+    Gv3,
+    /// A TI LightCrafter 4500 that has the rig's patterns in its flash.
+    Dlpc350,
+}
+
 /// How the virtual devices behave.
 #[derive(Debug, Clone)]
 pub struct VirtualConfig {
     /// The devices.
     pub devices: Vec<DeviceKind>,
+    /// What the projector is.
+    pub projector: ProjectorKind,
     /// The camera delivers this size instead of the rig's.
     pub camera_size_px: Option<[u32; 2]>,
     /// Wall time over the rig's.
@@ -38,7 +53,8 @@ pub struct VirtualConfig {
 impl Default for VirtualConfig {
     fn default() -> Self {
         let devices = vec![DeviceKind::Camera, DeviceKind::Projector, DeviceKind::Trigger];
-        Self { devices, camera_size_px: None, slower: 1.0, plays_itself: false, faults: Vec::new() }
+        let projector = ProjectorKind::default();
+        Self { devices, projector, camera_size_px: None, slower: 1.0, plays_itself: false, faults: Vec::new() }
     }
 }
 
@@ -58,7 +74,8 @@ impl VirtualScanner {
     pub fn new(config: &RigConfig, settings: &VirtualConfig, bell: Arc<Bell>) -> Result<Self, DeviceError> {
         let world = SimWorld::new(config)?;
         let has_controller = settings.devices.contains(&DeviceKind::Trigger);
-        let rig = VirtualRig::new(config, has_controller, settings.slower, settings.faults.clone());
+        let mut rig = VirtualRig::new(config, has_controller, settings.slower, settings.faults.clone());
+        rig.light_crafter = (settings.projector == ProjectorKind::Dlpc350).then(|| LightCrafter::new(config));
         let rig = Arc::new(Mutex::new(rig));
         let size_px = settings.camera_size_px.unwrap_or([config.camera.width_px, config.camera.height_px]);
         if size_px.iter().any(|side| !(1..=4096).contains(side)) {
@@ -72,37 +89,44 @@ impl VirtualScanner {
                     Arc::new(Mutex::new(UvcCamera::new(rig, size_px, config.timing.picture_period_nanos)))
                 }
                 DeviceKind::Projector => {
-                    let device =
-                        VendorProjector::new(rig).ok_or(DeviceError::State("the projector has no descriptors"))?;
-                    Arc::new(Mutex::new(device))
+                    projector(settings.projector, rig).ok_or(DeviceError::State("the projector has no descriptors"))?
                 }
                 DeviceKind::Trigger => Arc::new(Mutex::new(SerialTrigger::new(rig))),
             };
             Ok((*kind, device))
         };
         let devices = settings.devices.iter().map(device).collect::<Result<_, _>>()?;
-        let own_show = settings.plays_itself.then(|| own_show(config));
+        let order: Vec<usize> = (0..config.sequence.patterns.len()).collect();
+        let own_show = settings.plays_itself.then(|| show_requests(&config.sequence, &order, &config.timing));
         Ok(Self { devices, clock: RigClock { world, rig, bell, own_show, is_showing: false } })
     }
 }
 
-/// Requests that make a projector play a rig's sequence.
-fn own_show(config: &RigConfig) -> Vec<u8> {
-    let sequence = &config.sequence;
+fn projector(kind: ProjectorKind, rig: Arc<Mutex<VirtualRig>>) -> Option<SharedDevice> {
+    Some(match kind {
+        ProjectorKind::Gv3 => Arc::new(Mutex::new(VendorProjector::new(rig)?)),
+        ProjectorKind::Dlpc350 => Arc::new(Mutex::new(HidProjector::new(rig)?)),
+    })
+}
+
+/// Requests that make a projector of the vendor protocol play patterns of a sequence in an order.
+fn show_requests(sequence: &PatternSequence, order: &[usize], timing: &SequenceTiming) -> Vec<u8> {
     let mut requests = Vec::new();
-    for (i, pattern) in sequence.patterns.iter().enumerate() {
+    for (position, &index) in order.iter().enumerate() {
+        let pattern = &sequence.patterns[index];
         let axis = match pattern.direction {
-            crate::light::Direction::Columns => Axis::Columns,
-            crate::light::Direction::Rows => Axis::Rows,
+            Direction::Columns => Axis::Columns,
+            Direction::Rows => Axis::Rows,
         };
-        requests.push(Request::Pattern { index: i as u16, axis, levels: pattern.levels(sequence.length_px(i)) });
+        requests.push(Request::Pattern {
+            index: position as u16,
+            axis,
+            levels: pattern.levels(sequence.length_px(index)),
+        });
     }
-    requests.push(Request::Order((0..sequence.patterns.len() as u16).collect()));
-    let timing = config.timing;
-    requests.push(Request::Timing(Timing {
-        period_nanos: timing.picture_period_nanos,
-        exposure_nanos: timing.exposure_nanos,
-    }));
+    requests.push(Request::Order((0..order.len() as u16).collect()));
+    let SequenceTiming { picture_period_nanos: period_nanos, exposure_nanos } = *timing;
+    requests.push(Request::Timing(Timing { period_nanos, exposure_nanos }));
     requests.extend([Request::Arm, Request::Start]);
     requests.iter().enumerate().flat_map(|(i, r)| r.message(i as u16).encode()).collect()
 }

@@ -3,6 +3,7 @@
 //! The rig's time goes with the wall's, or slower, but never ahead of the host: a pulse waits until the camera's last pictures
 //! have been fetched. So a host that is slow, or a simulator, sees the same pictures as a fast one.
 
+use super::LightCrafter;
 use crate::device::sim::{FaultKind, Gv3Device, Light};
 use crate::device::{PatternIndex, RigConfig};
 use gv3_codec::GreyPicture;
@@ -16,6 +17,8 @@ use std::time::{Duration, Instant};
 const CAMERA_PICTURES: usize = 2;
 /// How late a pulse may come before the time in between is taken out of the rig's time.
 const MAX_LATE: Duration = Duration::from_millis(20);
+/// Standing still is told whenever so much more of it has come together.
+const TOLD_NANOS: u64 = 10_000_000;
 /// How often the rig looks for what its hosts have changed.
 const IDLE: Duration = Duration::from_millis(4);
 /// How long a stalled transfer stands.
@@ -43,6 +46,8 @@ pub enum CableFault {
     Short,
     /// A cable is pulled, and put back after a second.
     Unplugged(DeviceKind),
+    /// The projector falls back to showing its video input, or goes dark where it has none.
+    WrongMode,
 }
 
 /// A fault and the pulse it comes with, counted from the start of the program.
@@ -67,12 +72,13 @@ impl FromStr for PulseFault {
             "saturated" => CableFault::Picture(FaultKind::Saturated),
             "stalled" => CableFault::Picture(FaultKind::Stalled),
             "short" => CableFault::Short,
+            "wrong-mode" => CableFault::WrongMode,
             "unplug-camera" => CableFault::Unplugged(DeviceKind::Camera),
             "unplug-projector" => CableFault::Unplugged(DeviceKind::Projector),
             "unplug-trigger" => CableFault::Unplugged(DeviceKind::Trigger),
             _ => {
                 return Err(format!(
-                    "{kind}: a fault is lost, doubled, late, saturated, stalled, short, unplug-camera, unplug-projector or unplug-trigger"
+                    "{kind}: a fault is lost, doubled, late, saturated, stalled, short, wrong-mode, unplug-camera, unplug-projector or unplug-trigger"
                 ));
             }
         };
@@ -174,6 +180,8 @@ enum TriggerLine {
 pub struct VirtualRig {
     /// The projector.
     pub projector: Gv3Device,
+    /// The device that the projector is driven as, where it is not by the vendor protocol.
+    pub light_crafter: Option<LightCrafter>,
     /// The trigger controller.
     pub trigger: TriggerModel,
     /// The camera.
@@ -183,6 +191,8 @@ pub struct VirtualRig {
     /// A wall time and the rig's time at it.
     begin: (Instant, u64),
     slower: f64,
+    /// How long its time has stood still, in all.
+    stood_nanos: u64,
     /// Start of the run and pulses in it.
     run: Option<(u64, u64)>,
     /// When the projector began to play, and its steps since; a projector that begins anew begins with its first pattern.
@@ -206,12 +216,14 @@ impl VirtualRig {
         };
         Self {
             projector: Gv3Device::simulated(size_px, "virtual-projector-1"),
+            light_crafter: None,
             trigger: TriggerModel::new("virtual-trigger-1"),
             camera,
             line: if has_controller { TriggerLine::Controller } else { TriggerLine::Projector },
             clock_nanos: 0,
             begin: (Instant::now(), 0),
             slower,
+            stood_nanos: 0,
             run: None,
             steps: (0, 0),
             pulses: 0,
@@ -297,14 +309,24 @@ impl VirtualRig {
         if self.is_streaming() && self.camera.pictures.len() >= CAMERA_PICTURES {
             // Time stands until the host has fetched one.
             self.tick(now);
-            self.begin = (now, next);
+            self.stand(now, next);
             return Step::Wait(IDLE);
         }
         if Duration::from_nanos(self.wall_nanos(now) - next) > MAX_LATE {
-            self.begin = (now, next);
+            self.stand(now, next);
         }
         self.set_clock(next);
         Step::Pulse(self.pulse(next))
+    }
+
+    /// Takes the time since `next` was due out of the rig's time.
+    fn stand(&mut self, now: Instant, next: u64) {
+        let before_nanos = self.stood_nanos;
+        self.stood_nanos += self.wall_nanos(now).saturating_sub(next);
+        self.begin = (now, next);
+        if self.stood_nanos / TOLD_NANOS != before_nanos / TOLD_NANOS {
+            tracing::warn!(stood_ms = self.stood_nanos / 1_000_000, "the host is slow: the rig's time stood still");
+        }
     }
 
     /// The pulse that is due.
@@ -351,8 +373,11 @@ impl VirtualRig {
     fn fault(&mut self) -> Option<CableFault> {
         let found = self.faults.iter().find(|f| f.pulse == self.pulses).map(|f| f.fault);
         self.pulses += 1;
-        if let Some(CableFault::Unplugged(kind)) = found {
-            self.pulled.insert(kind);
+        match (found, &mut self.light_crafter) {
+            (Some(CableFault::Unplugged(kind)), _) => drop(self.pulled.insert(kind)),
+            (Some(CableFault::WrongMode), Some(device)) => device.lose_mode(&mut self.projector),
+            (Some(CableFault::WrongMode), None) => self.reset_projector(),
+            _ => {}
         }
         found
     }

@@ -121,7 +121,7 @@ pub struct V4lCamera {
     wanted: Option<CameraSettings>,
     run: Option<Run>,
     is_unplugged: bool,
-    /// Monotonic time of the run's time 0; outlives the stream when the camera is unplugged.
+    /// Monotonic time of the run's time 0, the middle of picture 0's exposure; outlives the stream when the camera is unplugged.
     origin_nanos: Option<u64>,
     counts: V4lCounts,
 }
@@ -212,7 +212,6 @@ impl V4lCamera {
         let began_nanos = Clocks::now().monotonic;
         let queue = Queue::start(Arc::clone(&ready.device), self.config.buffers);
         let queue = queue.map_err(|e| self.failed("starting the stream", &e))?;
-        self.origin_nanos.get_or_insert(began_nanos);
         let numbers = SequenceCounter::default();
         let next_number = first_number;
         self.run = Some(Run { queue, numbers, began_nanos, first_number, next_number, restarts_in_a_row: 0 });
@@ -249,7 +248,6 @@ impl V4lCamera {
         picture: Option<Result<GreyPicture, String>>,
     ) -> Option<Frame> {
         let (run, ready) = (self.run.as_mut()?, self.ready.as_ref()?);
-        let origin_nanos = self.origin_nanos?;
         let time_nanos = clocks.monotonic_of(stamp.time_nanos);
         if time_nanos.is_some_and(|time| time < run.began_nanos) {
             self.counts.stale += 1;
@@ -276,11 +274,19 @@ impl V4lCamera {
         };
         self.counts.delivered += 1;
         let exposure_nanos = ready.settings.exposure_nanos;
-        let run_nanos = time_nanos.unwrap_or(clocks.monotonic).saturating_sub(origin_nanos);
-        let device_time_nanos = match stamp.flags & FLAG_STAMP_SOURCE {
-            FLAG_START_OF_EXPOSURE => run_nanos.saturating_add(exposure_nanos / 2),
-            _ => run_nanos.saturating_sub(exposure_nanos / 2),
+        let stamp_nanos = time_nanos.unwrap_or(clocks.monotonic);
+        let middle_nanos = match stamp.flags & FLAG_STAMP_SOURCE {
+            FLAG_START_OF_EXPOSURE => stamp_nanos.saturating_add(exposure_nanos / 2),
+            _ => stamp_nanos.saturating_sub(exposure_nanos / 2),
         };
+        // However long the trigger let the camera wait, the run begins with its first picture.
+        let period_nanos = match ready.settings.trigger {
+            TriggerSource::Projector => self.picture_period_nanos,
+            TriggerSource::Internal { period_nanos } => period_nanos,
+        };
+        let due_nanos = sequence.saturating_mul(period_nanos);
+        let origin_nanos = *self.origin_nanos.get_or_insert(middle_nanos.saturating_sub(due_nanos));
+        let device_time_nanos = middle_nanos.saturating_sub(origin_nanos);
         Some(Frame {
             sequence,
             pattern: PatternIndex((sequence % self.pattern_count) as u16),
