@@ -24,8 +24,9 @@ export function makeAxis(
   return { toPx: (v) => fromPx + (v - low) * scale, ticks: tickValues(low, high, wantedTicks) };
 }
 
-/** A little room above, and down to zero where all values are above it. */
-export function paddedRange([low, high]: [number, number], log: boolean): [number, number] {
+/** A little room around; down to zero where that is near, or asked for. */
+export function paddedRange([low, high]: [number, number], log: boolean, fromZero = false): [number, number] {
   if (log) return [low / 1.15, high * 1.15];
-  return [low > 0 ? 0 : low, high + (high - Math.min(0, low)) * 0.06];
+  const ground = low >= 0 && (fromZero || low < 0.4 * high) ? 0 : low - (high - low) * 0.06;
+  return [ground, high + (high - ground) * 0.06];
 }

@@ -110,7 +110,8 @@ export class Plot {
     }
     const { left, right, top, bottom } = MARGIN;
     const xAxis = makeAxis(data.xLog ? paddedRange(xs, true) : xs, data.xLog ?? false, [left, width - right], width / 90);
-    const yAxis = makeAxis(paddedRange(ys, data.yLog ?? false), data.yLog ?? false, [height - bottom, top], height / 55);
+    const bars = data.series.some((s) => s.bars);
+    const yAxis = makeAxis(paddedRange(ys, data.yLog ?? false, bars), data.yLog ?? false, [height - bottom, top], height / 55);
     root.append(frame(data, xAxis, yAxis, width, height));
     for (const [k, series] of data.series.entries()) {
       if (!this.hidden.has(series.name)) root.append(this.curve(series, k, xAxis, yAxis, height - bottom));

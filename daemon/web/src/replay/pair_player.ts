@@ -25,6 +25,7 @@ export class PairPlayer implements Playback {
   private readonly barrier: Barrier;
   private readonly arrived: (DecodedMesh | undefined)[] = [];
   readonly lengthSeconds: number;
+  private scalars: Scalars = "none";
   private askedMs = 0;
   private again = false;
   private timer: ReturnType<typeof setTimeout> | undefined;
@@ -47,7 +48,7 @@ export class PairPlayer implements Playback {
         new ReplayChannel(client, session, output, {
           mesh: (mesh) => this.take(side, mesh),
           state: () => handlers.changed(),
-          open: () => this.ask(),
+          open: () => this.opened(side),
           fault: handlers.fault,
         }),
     );
@@ -91,6 +92,7 @@ export class PairPlayer implements Playback {
   }
 
   setScalars(scalars: Scalars): void {
+    this.scalars = scalars;
     for (const channel of this.channels) channel.send({ scalars });
     this.ask();
   }
@@ -100,19 +102,29 @@ export class PairPlayer implements Playback {
     for (const channel of this.channels) channel.close();
   }
 
+  /** A side that (again) has a connection is told what a side is told, whatever is owed. */
+  private opened(side: number): void {
+    this.channels[side]?.send({ scalars: this.scalars });
+    if (this.barrier.waiting) this.tell(side);
+    else this.ask();
+  }
+
   /** Asks both sides for the moment; when one is still owed, once it has come. */
   private ask(): void {
     this.handlers.changed();
     const now = performance.now();
     this.again = this.barrier.waiting && now - this.askedMs < PATIENCE_MS;
-    clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.barrier.waiting && this.ask(), PATIENCE_MS);
     if (this.again) return;
     this.askedMs = now;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.barrier.waiting && this.ask(), PATIENCE_MS + 1);
     this.barrier.ask();
-    for (const [side, channel] of this.channels.entries()) {
-      channel.send({ seek_seconds: Math.min(this.timeSeconds, this.sides[side]!.lengthSeconds) });
-    }
+    for (const side of this.sides.keys()) this.tell(side);
+  }
+
+  private tell(side: number): void {
+    const seconds = Math.min(this.timeSeconds, this.sides[side]!.lengthSeconds);
+    this.channels[side]?.send({ seek_seconds: seconds });
   }
 
   private take(side: number, mesh: DecodedMesh): void {

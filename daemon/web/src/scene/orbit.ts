@@ -6,6 +6,8 @@ export interface Box {
 
 /** Vertical field of view, degrees. */
 export const FIELD_OF_VIEW_DEG = 30;
+/** Room around what is fitted. */
+const MARGIN = 1.1;
 const STEEPEST_RAD = Math.PI / 2 - 0.01;
 
 /** Where the viewer stands: on a sphere about a target. Several viewers may share one, and then move together. */
@@ -39,8 +41,9 @@ export class Orbit {
     if (!this.box) return;
     const { low, high } = this.box;
     this.target = [0, 1, 2].map((k) => (low[k]! + high[k]!) / 2) as Orbit["target"];
-    const radius = Math.hypot(...[0, 1, 2].map((k) => high[k]! - low[k]!)) / 2;
-    this.distanceMm = Math.max(1, (radius * 0.95) / Math.sin((FIELD_OF_VIEW_DEG * Math.PI) / 360));
+    const [width, height, depth] = [0, 1, 2].map((k) => high[k]! - low[k]!) as [number, number, number];
+    const half = (Math.max(width, height) / 2) * MARGIN;
+    this.distanceMm = Math.max(1, half / Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360) + depth / 2);
     this.azimuthRad = this.elevationRad = 0;
     this.tell();
   }

@@ -89,8 +89,8 @@ export class Surface {
   }
 
   setColours(ground: [number, number, number], wire: [number, number, number]): void {
-    this.material.setLineColour(...ground);
-    this.wireMaterial.setLineColour(...wire);
+    this.material.setPlainColour(...ground);
+    this.wireMaterial.setPlainColour(...wire);
   }
 
   /** Depths that the colours span, mm; null before the first message. */

@@ -122,7 +122,7 @@ export class Viewer {
 
 function makeRenderer(canvas: HTMLCanvasElement): WebGLRenderer | null {
   try {
-    const renderer = new WebGLRenderer({ canvas, antialias: devicePixelRatio < 2, powerPreference: "default" });
+    const renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "default" });
     renderer.autoClear = false;
     return renderer;
   } catch {

@@ -16,7 +16,7 @@ export class DevicePanel {
   constructor(private readonly context: Context) {
     this.element = h(
       "section",
-      { class: "panel", "aria-label": "Devices" },
+      { class: "panel device-panel", "aria-label": "Devices" },
       h(
         "header",
         {},

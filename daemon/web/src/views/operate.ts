@@ -66,12 +66,12 @@ class OperateView implements View {
       "main",
       { class: "operate" },
       h("h1", { class: "visually-hidden" }, "Operate"),
-      this.controls(),
-      this.complaint,
-      this.warning,
+      h("div", { class: "top" }, this.controls(), this.complaint, this.warning),
       this.camera.element,
       this.mesh.element,
-      h("div", { class: "side" }, this.gauges.element, this.devices.element, this.log.element),
+      this.gauges.element,
+      this.devices.element,
+      this.log.element,
     );
     this.forget = [
       context.feed.onStatus((status) => this.show(status)),

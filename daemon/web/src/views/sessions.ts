@@ -20,18 +20,20 @@ const STATE_HELP: Record<SessionSummary["state"], string> = {
   damaged: "Some of it cannot be read. Verify says what; Recover saves the rest.",
 };
 
+const NUMBERS = ["Length", "Scans", "Size", "Ratio", "Tolerance"];
+
 /** While something is recorded, sizes are read again so often. */
 const REFRESH_MS = 5000;
 
 /** All sessions and what can be done with them. */
 export function sessionsView(context: Context): View {
-  const heads = ["", "Session", "Length", "Scans", "Size", "Ratio", "Tolerance", "State", "Recorded", "Actions"];
+  const heads = ["", "Session", ...NUMBERS, "State", "Recorded", "Actions"];
   const body = h("tbody");
   const table = h(
     "table",
     { class: "sessions" },
     h("caption", { class: "visually-hidden" }, "Recorded sessions"),
-    h("thead", {}, h("tr", {}, ...heads.map((text) => h("th", { scope: "col" }, text || visually("Picture"))))),
+    h("thead", {}, h("tr", {}, ...heads.map(head))),
     body,
   );
   const empty = h("p", { class: "notice", hidden: true }, "No session yet. Record one in Operate, or copy .gv3 files into the session directory.");
@@ -77,8 +79,9 @@ export function sessionsView(context: Context): View {
   };
 }
 
-function visually(text: string): HTMLElement {
-  return h("span", { class: "visually-hidden" }, text);
+function head(text: string): HTMLElement {
+  const hidden = h("span", { class: "visually-hidden" }, "Picture");
+  return h("th", { scope: "col", class: NUMBERS.includes(text) ? "number" : "" }, text || hidden);
 }
 
 function row({ client }: Context, session: SessionSummary, actions: SessionActions): HTMLElement {
@@ -91,7 +94,7 @@ function row({ client }: Context, session: SessionSummary, actions: SessionActio
   return h(
     "tr",
     {},
-    h("td", { class: "picture" }, picture),
+    h("td", { class: "thumb" }, picture),
     h(
       "th",
       { scope: "row" },
@@ -104,7 +107,7 @@ function row({ client }: Context, session: SessionSummary, actions: SessionActio
     cell(ratio(session.ratio), "Ratio"),
     cell(mm(session.tolerance_mm), "Tolerance"),
     h("td", { "data-label": "State" }, h("span", { class: "badge", "data-state": state, title: STATE_HELP[state] }, STATE_WORDS[state])),
-    cell(date(session.created), "Recorded"),
+    h("td", { "data-label": "Recorded" }, date(session.created)),
     h("td", { class: "actions" }, ...actions.buttons(session)),
   );
 }
