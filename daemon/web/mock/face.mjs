@@ -44,7 +44,9 @@ function grid(maxVertices) {
   const triangles = [];
   for (let j = 0; j + 1 < side; j += 1) {
     for (let i = 0; i + 1 < side; i += 1) {
-      const [a, b, c, d] = [j * side + i, j * side + i + 1, (j + 1) * side + i, (j + 1) * side + i + 1].map((k) => at[k]);
+      const [a, b, c, d] = [j * side + i, j * side + i + 1, (j + 1) * side + i, (j + 1) * side + i + 1].map(
+        (k) => at[k],
+      );
       if (a >= 0 && c >= 0 && b >= 0) triangles.push(a, c, b);
       if (b >= 0 && c >= 0 && d >= 0) triangles.push(b, c, d);
     }
@@ -133,7 +135,8 @@ function scalarAt(kind, x, y, seconds, low, high) {
   const z = depthMm(x, y, seconds);
   const values = {
     depth: () => z,
-    error: () => 0.06 + 0.1 * Math.abs(Math.sin(9 * x + 3 * seconds) * Math.sin(11 * y)) + 0.2 * bump(x, y, 0, 0.43, 0.3, 0.1),
+    error: () =>
+      0.06 + 0.1 * Math.abs(Math.sin(9 * x + 3 * seconds) * Math.sin(11 * y)) + 0.2 * bump(x, y, 0, 0.43, 0.3, 0.1),
     motion: () => Math.abs(depthMm(x, y, seconds + 0.01) - z) * 100,
   };
   return Math.max(0, Math.min(255, ((values[kind]() - low) / (high - low)) * 255));

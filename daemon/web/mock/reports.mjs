@@ -33,9 +33,22 @@ export const SWEEP = {
   scans: 90,
   obj_bmp_bytes_per_scan: 14e6,
   curves: [
-    curve("gv3", "default", [["0.05 mm", 2900, 0.061], ["0.1 mm", 1610, 0.104], ["0.2 mm", 900, 0.19], ["0.4 mm", 610, 0.33]]),
-    curve("gv3 seed", "published scheme", [["high", 14000, 0.31], ["middle", 8200, 0.6], ["low", 4300, 0.93]]),
-    curve("Draco", "every scan alone", [["12 bit", 152000, 0.05], ["11 bit", 121000, 0.1], ["10 bit", 96000, 0.2]]),
+    curve("gv3", "default", [
+      ["0.05 mm", 2900, 0.061],
+      ["0.1 mm", 1610, 0.104],
+      ["0.2 mm", 900, 0.19],
+      ["0.4 mm", 610, 0.33],
+    ]),
+    curve("gv3 seed", "published scheme", [
+      ["high", 14000, 0.31],
+      ["middle", 8200, 0.6],
+      ["low", 4300, 0.93],
+    ]),
+    curve("Draco", "every scan alone", [
+      ["12 bit", 152000, 0.05],
+      ["11 bit", 121000, 0.1],
+      ["10 bit", 96000, 0.2],
+    ]),
     curve("HEVC depth", "12-bit depth video", [], "ffmpeg was not found"),
   ],
   bd_rates: [

@@ -10,10 +10,22 @@ const thumbnail = greyPng(64, 48, (x, y) => {
 
 const DEVICES = {
   cameras: [
-    { node: "/dev/video0", name: "gv3 camera", driver: "uvcvideo", bus: "usb-1.2", serial: "C1", formats: ["GREY", "Y10 "] },
+    {
+      node: "/dev/video0",
+      name: "gv3 camera",
+      driver: "uvcvideo",
+      bus: "usb-1.2",
+      serial: "C1",
+      formats: ["GREY", "Y10 "],
+    },
   ],
   projectors: [
-    { backend: "gv3_usb", serial: "P1", bus_path: "1-1.3", problem: "No right to open it. Run: sudo gv3 install-udev, then plug it in again." },
+    {
+      backend: "gv3_usb",
+      serial: "P1",
+      bus_path: "1-1.3",
+      problem: "No right to open it. Run: sudo gv3 install-udev, then plug it in again.",
+    },
   ],
   serial_ports: [],
   problems: [],
@@ -21,7 +33,12 @@ const DEVICES = {
 
 const CHECKS = [
   { name: "camera", outcome: "pass", detail: "180 pictures a second, none lost", action: null },
-  { name: "projector", outcome: "fail", detail: "may not be opened", action: "Run: sudo gv3 install-udev, then plug it in again." },
+  {
+    name: "projector",
+    outcome: "fail",
+    detail: "may not be opened",
+    action: "Run: sudo gv3 install-udev, then plug it in again.",
+  },
   { name: "linearity", outcome: "skip", detail: "needs the projector", action: null },
   { name: "disk", outcome: "pass", detail: "412 GB free, 240 MB/s", action: null },
 ];
@@ -49,14 +66,23 @@ export function answer(state, method, path, body) {
     "POST doctor": () => [200, { checks: CHECKS }],
     "GET sessions": () => [200, { sessions: [...state.sessions.values()] }],
     "GET jobs": () => [200, { jobs: [...state.jobs.values()] }],
-    "GET reports": () => [200, { reports: [{ name: "sweep-face", kind: "sweep" }, { name: "smile-measure", kind: "measure" }] }],
+    "GET reports": () => [
+      200,
+      {
+        reports: [
+          { name: "sweep-face", kind: "sweep" },
+          { name: "smile-measure", kind: "measure" },
+        ],
+      },
+    ],
     "GET reports/sweep-face": () => [200, SWEEP],
     "GET reports/smile-measure": () => [200, MEASURE],
   }[key];
   if (simple) return simple();
   if (head === "jobs") return jobAnswer(state, method, name, tail);
   if (head !== "sessions") throw problem(404, "No such path", path);
-  if (!state.sessions.has(name)) throw problem(404, "No such session", `There is no session ${name}. Read the list again.`);
+  if (!state.sessions.has(name))
+    throw problem(404, "No such session", `There is no session ${name}. Read the list again.`);
   return sessionAnswer(state, method, name, tail, body);
 }
 
@@ -64,7 +90,8 @@ function jobAnswer(state, method, id, tail) {
   const job = state.jobs.get(id);
   if (!job) throw problem(404, "No such job", "The daemon was started again since; begin it anew.");
   if (method === "DELETE") return ((job.state = "cancelled"), [204]);
-  if (tail === "result") return [200, file("application/zip", zipOf("frame_0000.obj", "v 0 0 0\n"), `${job.session}.zip`)];
+  if (tail === "result")
+    return [200, file("application/zip", zipOf("frame_0000.obj", "v 0 0 0\n"), `${job.session}.zip`)];
   return [200, job];
 }
 
@@ -83,7 +110,8 @@ function sessionAnswer(state, method, name, tail, body) {
       return [200, { ticks, is_key, bytes: ticks.map((t) => (t % 10 === 0 ? 4200 : 900) + 200 * Math.sin(t)) }];
     }
     case "PATCH ":
-      if (state.sessions.has(body.name)) throw problem(409, "That name is taken", `There is a session ${body.name} already.`);
+      if (state.sessions.has(body.name))
+        throw problem(409, "That name is taken", `There is a session ${body.name} already.`);
       state.sessions.delete(name);
       state.sessions.set(body.name, { ...known, name: body.name });
       return [200, {}];
@@ -93,7 +121,10 @@ function sessionAnswer(state, method, name, tail, body) {
     case "POST verify":
       return [202, state.startJob("verify", name, () => ({ report: { groups: known.keyframes, faults: 0 } }))];
     case "POST recover":
-      return [202, state.startJob("recover", name, () => ((known.state = "complete"), { report: { scans_kept: known.scans } }))];
+      return [
+        202,
+        state.startJob("recover", name, () => ((known.state = "complete"), { report: { scans_kept: known.scans } })),
+      ];
     case "POST export":
       return [202, state.startJob("export", name, () => ({ result_bytes: 1_234_567 }))];
     case "POST compare":

@@ -8,7 +8,13 @@ import { serveSocket } from "./sockets.mjs";
 import { MockState } from "./state.mjs";
 
 const DIST = fileURLToPath(new URL("../dist", import.meta.url));
-const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".txt": "text/plain" };
+const TYPES = {
+  ".html": "text/html",
+  ".js": "text/javascript",
+  ".css": "text/css",
+  ".svg": "image/svg+xml",
+  ".txt": "text/plain",
+};
 /** As the daemon sends it, so that what it forbids fails here too. */
 const POLICY =
   "default-src 'self'; img-src 'self' blob: data:; worker-src 'self' blob:; style-src 'self' 'unsafe-inline'; " +
@@ -30,7 +36,9 @@ export async function startMock({ port = 0, token = null } = {}) {
   server.on("upgrade", (request, socket, head) => {
     const url = new URL(request.url, "http://mock");
     if (!allowed(request)) return socket.end("HTTP/1.1 401 Unauthorized\r\n\r\n");
-    sockets.handleUpgrade(request, socket, head, (ws) => serveSocket(state, ws, url.pathname.slice(API.length), url.searchParams));
+    sockets.handleUpgrade(request, socket, head, (ws) =>
+      serveSocket(state, ws, url.pathname.slice(API.length), url.searchParams),
+    );
   });
   await new Promise((resolve) => server.listen(port, "127.0.0.1", resolve));
   const close = () => {

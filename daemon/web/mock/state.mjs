@@ -148,7 +148,8 @@ export class MockState {
     this.free = full ? 4e9 : 412e9;
     if (full && this.recording) {
       this.stopRecording();
-      this.error = "The recording was stopped: the disk is down to its floor of 5 GB. Delete sessions or move them away.";
+      this.error =
+        "The recording was stopped: the disk is down to its floor of 5 GB. Delete sessions or move them away.";
       this.tell({ kind: "fault", source: "disk", message: "at its floor" });
     }
     if (!full) this.error = null;

@@ -75,8 +75,7 @@ export class Client {
   verify = (name: string) => this.request<Job>("POST", `${session(name)}/verify`);
   recover = (name: string) => this.request<Job>("POST", `${session(name)}/recover`);
   export = (name: string, request: ExportRequest) => this.request<Job>("POST", `${session(name)}/export`, request);
-  compare = (name: string, other: string) =>
-    this.request<Job>("POST", `${session(name)}/compare`, { with: other });
+  compare = (name: string, other: string) => this.request<Job>("POST", `${session(name)}/compare`, { with: other });
 
   jobs = () => this.request<{ jobs: Job[] }>("GET", "jobs").then((r) => r.jobs);
   job = (id: Job["id"]) => this.request<Job>("GET", `jobs/${id}`);

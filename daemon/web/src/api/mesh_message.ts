@@ -31,7 +31,7 @@ export interface MeshMessage {
   texture: Uint8Array<ArrayBuffer> | null;
 }
 
-const padded = (bytes: number) => (bytes + 3) & ~3;
+const padded = (bytes: number) => Math.ceil(bytes / 4) * 4;
 
 /** Reads a mesh message (little-endian, as typed arrays are on every machine with WebGL). */
 export function readMesh(buffer: ArrayBuffer): MeshMessage {

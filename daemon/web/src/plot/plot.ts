@@ -101,17 +101,33 @@ export class Plot {
     const { data } = this;
     const root = svg("svg", { width, height, viewBox: `0 0 ${width} ${height}`, class: "plot-picture" });
     const visible = data.series.filter((s) => !this.hidden.has(s.name));
-    const xs = range(visible.flatMap((s) => s.x), data.xLog ?? false);
-    const ys = range(visible.flatMap((s) => s.y), data.yLog ?? false);
+    const xs = range(
+      visible.flatMap((s) => s.x),
+      data.xLog ?? false,
+    );
+    const ys = range(
+      visible.flatMap((s) => s.y),
+      data.yLog ?? false,
+    );
     this.places = [];
     if (!xs || !ys) {
       root.append(svg("text", { x: width / 2, y: height / 2, "text-anchor": "middle" }, "No values to draw"));
       return root;
     }
     const { left, right, top, bottom } = MARGIN;
-    const xAxis = makeAxis(data.xLog ? paddedRange(xs, true) : xs, data.xLog ?? false, [left, width - right], width / 90);
+    const xAxis = makeAxis(
+      data.xLog ? paddedRange(xs, true) : xs,
+      data.xLog ?? false,
+      [left, width - right],
+      width / 90,
+    );
     const bars = data.series.some((s) => s.bars);
-    const yAxis = makeAxis(paddedRange(ys, data.yLog ?? false, bars), data.yLog ?? false, [height - bottom, top], height / 55);
+    const yAxis = makeAxis(
+      paddedRange(ys, data.yLog ?? false, bars),
+      data.yLog ?? false,
+      [height - bottom, top],
+      height / 55,
+    );
     root.append(frame(data, xAxis, yAxis, width, height));
     for (const [k, series] of data.series.entries()) {
       if (!this.hidden.has(series.name)) root.append(this.curve(series, k, xAxis, yAxis, height - bottom));
@@ -214,7 +230,13 @@ function frame(data: PlotData, xAxis: Axis, yAxis: Axis, width: number, height: 
   }
   const across = (top + height - bottom) / 2;
   text(data.xLabel, { x: (left + width - right) / 2, y: height - 8, "text-anchor": "middle", class: "label" });
-  text(data.yLabel, { x: 0, y: 0, "text-anchor": "middle", class: "label", transform: `translate(14 ${across}) rotate(-90)` });
+  text(data.yLabel, {
+    x: 0,
+    y: 0,
+    "text-anchor": "middle",
+    class: "label",
+    transform: `translate(14 ${across}) rotate(-90)`,
+  });
   group.append(svg("path", { d: `M${left} ${top}V${height - bottom}H${width - right}`, class: "axis" }));
   return group;
 }
@@ -234,4 +256,8 @@ function symbol(k: number, x: number, y: number): SVGElement {
 }
 
 const brief = (v: number) => String(+v.toPrecision(4));
-const fileName = (title: string) => title.toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "");
+const fileName = (title: string) =>
+  title
+    .toLowerCase()
+    .replace(/[^a-z0-9]+/g, "-")
+    .replace(/^-|-$/g, "");

@@ -14,7 +14,13 @@ export class Sparkline {
   constructor(label: string) {
     this.element = svg(
       "svg",
-      { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "sparkline", role: "img", "aria-label": label, preserveAspectRatio: "none" },
+      {
+        viewBox: `0 0 ${WIDTH} ${HEIGHT}`,
+        class: "sparkline",
+        role: "img",
+        "aria-label": label,
+        preserveAspectRatio: "none",
+      },
       this.path,
     );
   }

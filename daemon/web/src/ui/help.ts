@@ -35,7 +35,11 @@ export function showHelp(keys: Keys): void {
       ].flatMap(([key, does]) => [h("dt", {}, h("kbd", {}, key)), h("dd", {}, does)]),
     ),
     h("label", { class: "check" }, off, " Single keys work (? always does)"),
-    h("div", { class: "dialog-buttons" }, button("Close", () => dialog.close(), { autofocus: true })),
+    h(
+      "div",
+      { class: "dialog-buttons" },
+      button("Close", () => dialog.close(), { autofocus: true }),
+    ),
   );
   dialog.classList.add("wide");
 }

@@ -6,7 +6,13 @@ import { h } from "./dom";
 /** Asks for the token until one is right. Asking again while the dialog is open does nothing. */
 export function showLogin(client: Client, done: () => void): void {
   if (document.querySelector("dialog.login")) return;
-  const token = h("input", { type: "password", name: "token", autocomplete: "current-password", required: true, autofocus: true });
+  const token = h("input", {
+    type: "password",
+    name: "token",
+    autocomplete: "current-password",
+    required: true,
+    autofocus: true,
+  });
   const complaint = h("p", { class: "complaint", role: "alert" });
   const form = h(
     "form",
@@ -16,7 +22,11 @@ export function showLogin(client: Client, done: () => void): void {
         void submit();
       },
     },
-    h("p", {}, "This scanner is reached over a network, so it asks for its token. It is in the file that gv3 serve named when it started."),
+    h(
+      "p",
+      {},
+      "This scanner is reached over a network, so it asks for its token. It is in the file that gv3 serve named when it started.",
+    ),
     h("label", { class: "field" }, h("span", {}, "Token"), token),
     complaint,
     h("div", { class: "dialog-buttons" }, h("button", { type: "submit", class: "primary" }, "Log in")),

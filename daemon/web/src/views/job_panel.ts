@@ -43,8 +43,13 @@ export class JobPanel {
       h("b", {}, name),
       running ? h("progress", { ...bar, "aria-label": name }) : h("span", {}, job.error || OUTCOMES[job.state]),
       running && job.total > 0 && h("span", { class: "sub" }, `${job.done} of ${job.total}`),
-      job.state === "done" && job.kind === "export" &&
-        h("a", { href: client.resultUrl(job.id), download: "", class: "button" }, `Save ${job.result_bytes ? bytes(job.result_bytes) : ""}`),
+      job.state === "done" &&
+        job.kind === "export" &&
+        h(
+          "a",
+          { href: client.resultUrl(job.id), download: "", class: "button" },
+          `Save ${job.result_bytes ? bytes(job.result_bytes) : ""}`,
+        ),
       job.report != null && job.kind !== "compare" && button("Report", () => showReport(name, job.report)),
       h("span", { class: "spring" }),
       button(running ? "Cancel" : "Dismiss", () => void announcer.attempt(() => jobs.dismiss(job)), {
@@ -63,6 +68,10 @@ function showReport(heading: string, report: unknown): void {
   const dialog = openDialog(
     heading,
     h("dl", { class: "report" }, ...rows.flatMap(([k, v]) => [h("dt", {}, words(k)), h("dd", {}, text(v))])),
-    h("div", { class: "dialog-buttons" }, button("Close", () => dialog.close(), { autofocus: true })),
+    h(
+      "div",
+      { class: "dialog-buttons" },
+      button("Close", () => dialog.close(), { autofocus: true }),
+    ),
   );
 }

@@ -26,7 +26,14 @@ class MeasureView implements View {
     private readonly route: Route,
   ) {
     this.jobs = new JobPanel(context);
-    this.element = h("main", { class: "measure" }, h("header", { class: "view-head" }, h("h1", {}, "Measure")), this.choice, this.jobs.element, this.body);
+    this.element = h(
+      "main",
+      { class: "measure" },
+      h("header", { class: "view-head" }, h("h1", {}, "Measure")),
+      this.choice,
+      this.jobs.element,
+      this.body,
+    );
     context.keys.setLocal([]);
     void context.announcer.attempt(() => this.open());
   }
@@ -55,17 +62,31 @@ class MeasureView implements View {
     const name = report ? "" : this.route.name || (sessions[0]?.name ?? "");
     const names = sessions.map((s) => [s.name, s.name] as const);
     const go = (hash: string) => (location.hash = hash);
-    const session = dropdown("Session", report ? ([["", "–"], ...names] as const) : names, name, (n) => go(routeHash("measure", n)));
+    const session = dropdown("Session", report ? ([["", "–"], ...names] as const) : names, name, (n) =>
+      go(routeHash("measure", n)),
+    );
     const others = names.filter(([n]) => n !== name);
     const other = dropdown("Against", others, others[0]?.[0] ?? "", () => undefined);
-    const compare = button("Compare", () => void this.compare(name, other.select.value), { disabled: !name || others.length === 0 });
+    const compare = button("Compare", () => void this.compare(name, other.select.value), {
+      disabled: !name || others.length === 0,
+    });
     const files = reports.map((r) => [r.name, `${r.name} (${r.kind})`] as const);
-    const reportList = dropdown("Report", [["", reports.length ? "none" : "none yet"], ...files] as const, report, (r) =>
-      go(r ? routeHash("measure", "", { report: r }) : routeHash("measure")),
+    const reportList = dropdown(
+      "Report",
+      [["", reports.length ? "none" : "none yet"], ...files] as const,
+      report,
+      (r) => go(r ? routeHash("measure", "", { report: r }) : routeHash("measure")),
     );
     reportList.select.disabled = reports.length === 0;
-    const help = "Reports are what gv3 sweep and gv3 measure --json leave in the folder “reports” of the session directory.";
-    this.choice.replaceChildren(session.element, other.element, compare, reportList.element, h("span", { class: "sub" }, help));
+    const help =
+      "Reports are what gv3 sweep and gv3 measure --json leave in the folder “reports” of the session directory.";
+    this.choice.replaceChildren(
+      session.element,
+      other.element,
+      compare,
+      reportList.element,
+      h("span", { class: "sub" }, help),
+    );
   }
 
   private async openSession(name: string): Promise<void> {

@@ -44,7 +44,13 @@ class OperateView implements View {
   private readonly power = button("Start scanner", () => this.togglePower());
   private readonly record = button("Record", () => this.toggleRecord(), { class: "record" });
   private readonly mark = button("Mark", () => void this.addMark());
-  private readonly name = h("input", { type: "text", placeholder: "named by time", "aria-label": "Name of the next recording", spellcheck: "false", maxlength: "100" });
+  private readonly name = h("input", {
+    type: "text",
+    placeholder: "named by time",
+    "aria-label": "Name of the next recording",
+    spellcheck: "false",
+    maxlength: "100",
+  });
   private readonly raw = h("input", { type: "checkbox" });
   private readonly progress = h("p", { class: "recording-line" });
   private readonly camera: CameraPanel;
@@ -102,7 +108,12 @@ class OperateView implements View {
         { class: "buttons" },
         this.power,
         h("label", { class: "field inline" }, h("span", {}, "Name"), this.name),
-        h("label", { class: "check", title: "Keep every camera picture without loss beside the session" }, this.raw, " raw pictures"),
+        h(
+          "label",
+          { class: "check", title: "Keep every camera picture without loss beside the session" },
+          this.raw,
+          " raw pictures",
+        ),
         this.record,
         this.mark,
       ),
@@ -190,7 +201,11 @@ class OperateView implements View {
 
   private async addMark(): Promise<void> {
     if (this.mark.disabled) return;
-    const data = await ask("Mark this moment", [textField("Text", "text", "", { maxlength: "200", required: true })], "Mark");
+    const data = await ask(
+      "Mark this moment",
+      [textField("Text", "text", "", { maxlength: "200", required: true })],
+      "Mark",
+    );
     if (!data) return;
     const marked = await this.context.announcer.attempt(() => this.context.client.mark(String(data.get("text"))));
     if (marked) this.context.announcer.say(`Marked at tick ${marked.tick}`);

@@ -65,7 +65,10 @@ class ReplayView implements View {
     private readonly route: Route,
   ) {
     this.output = route.query.get("as") === "mesh" ? "mesh" : "scan";
-    this.transport = new Transport(() => this.playback, () => (this.sessions[0]?.period_nanos ?? 33_333_333) * 1e-9);
+    this.transport = new Transport(
+      () => this.playback,
+      () => (this.sessions[0]?.period_nanos ?? 33_333_333) * 1e-9,
+    );
     context.keys.setLocal([
       ...this.transport.shortcuts(),
       ...LOOK_NAMES.map(([look, name], k) => ({ key: String(k + 1), does: name, run: () => this.setLook(look) })),

@@ -39,7 +39,12 @@ export class SessionActions {
     const { name } = session;
     const dialog = openDialog(name);
     const act = (label: string, help: string, run: () => void, props = {}) =>
-      h("li", {}, button(label, () => (dialog.close(), run()), props), h("span", { class: "sub" }, help));
+      h(
+        "li",
+        {},
+        button(label, () => (dialog.close(), run()), props),
+        h("span", { class: "sub" }, help),
+      );
     dialog.append(
       h(
         "ul",
@@ -50,7 +55,11 @@ export class SessionActions {
         act("Rename…", "Segments and raw pictures go with it.", () => void this.rename(name)),
         act("Delete…", "For good; asks first.", () => void this.remove(session), { class: "danger" }),
       ),
-      h("div", { class: "dialog-buttons" }, button("Close", () => dialog.close(), { autofocus: true })),
+      h(
+        "div",
+        { class: "dialog-buttons" },
+        button("Close", () => dialog.close(), { autofocus: true }),
+      ),
     );
   }
 
@@ -61,18 +70,30 @@ export class SessionActions {
     ] as const;
     const number = (label: string, name: string) =>
       textField(label, name, "", { inputmode: "decimal", placeholder: "all" });
-    const [output, format] = [dropdown("Surface", what, "scan", () => undefined), dropdown("Files", FORMATS, "obj", () => undefined)];
+    const [output, format] = [
+      dropdown("Surface", what, "scan", () => undefined),
+      dropdown("Files", FORMATS, "obj", () => undefined),
+    ];
     output.select.name = "as";
     format.select.name = "format";
     const fps = textField("Frames a second", "fps", "", { inputmode: "decimal", placeholder: "as captured" });
-    const fields = [output.element, format.element, number("From tick", "first_tick"), number("To tick", "last_tick"), fps];
+    const fields = [
+      output.element,
+      format.element,
+      number("From tick", "first_tick"),
+      number("To tick", "last_tick"),
+      fps,
+    ];
     const data = await ask(`Export ${session.name}`, fields, "Export", (d) =>
       ["first_tick", "last_tick", "fps"].some((k) => !/^\d*(\.\d+)?$/.test(String(d.get(k)).trim()))
         ? "Ticks and frames a second are numbers; leave them empty for all."
         : null,
     );
     if (!data) return;
-    const request: ExportRequest = { as: String(data.get("as")) as "scan" | "mesh", format: String(data.get("format")) };
+    const request: ExportRequest = {
+      as: String(data.get("as")) as "scan" | "mesh",
+      format: String(data.get("format")),
+    };
     for (const key of ["first_tick", "last_tick", "fps"] as const) {
       const text = String(data.get(key)).trim();
       if (text) request[key] = Number(text);

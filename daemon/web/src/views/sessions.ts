@@ -36,7 +36,11 @@ export function sessionsView(context: Context): View {
     h("thead", {}, h("tr", {}, ...heads.map(head))),
     body,
   );
-  const empty = h("p", { class: "notice", hidden: true }, "No session yet. Record one in Operate, or copy .gv3 files into the session directory.");
+  const empty = h(
+    "p",
+    { class: "notice", hidden: true },
+    "No session yet. Record one in Operate, or copy .gv3 files into the session directory.",
+  );
   const total = h("span", { class: "about" });
   const actions = new SessionActions(context, () => load());
   const jobs = new JobPanel(context);
@@ -65,7 +69,14 @@ export function sessionsView(context: Context): View {
   const element = h(
     "main",
     { class: "sessions-view" },
-    h("header", { class: "view-head" }, h("h1", {}, "Sessions"), total, h("span", { class: "spring" }), button("Refresh", () => void load())),
+    h(
+      "header",
+      { class: "view-head" },
+      h("h1", {}, "Sessions"),
+      total,
+      h("span", { class: "spring" }),
+      button("Refresh", () => void load()),
+    ),
     jobs.element,
     h("div", { class: "panel table-box", tabindex: "0", role: "region", "aria-label": "Sessions" }, table, empty),
   );
@@ -106,7 +117,11 @@ function row({ client }: Context, session: SessionSummary, actions: SessionActio
     cell(bytes(session.bytes), "Size"),
     cell(ratio(session.ratio), "Ratio"),
     cell(mm(session.tolerance_mm), "Tolerance"),
-    h("td", { "data-label": "State" }, h("span", { class: "badge", "data-state": state, title: STATE_HELP[state] }, STATE_WORDS[state])),
+    h(
+      "td",
+      { "data-label": "State" },
+      h("span", { class: "badge", "data-state": state, title: STATE_HELP[state] }, STATE_WORDS[state]),
+    ),
     h("td", { "data-label": "Recorded" }, date(session.created)),
     h("td", { class: "actions" }, ...actions.buttons(session)),
   );
