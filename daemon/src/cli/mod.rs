@@ -6,6 +6,7 @@ mod accuracy;
 mod calibrate;
 mod calibrate_gamma;
 mod capture;
+mod ctl;
 mod decode;
 mod demo;
 mod devices;
@@ -19,6 +20,7 @@ mod progress;
 mod raw;
 mod reconstruct;
 mod recover;
+mod serve;
 mod sweep;
 mod verify;
 mod virtual_scanner;
@@ -51,6 +53,8 @@ enum Command {
     Devices(devices::Devices),
     Calibrate(calibrate::Calibrate),
     Capture(capture::Capture),
+    Serve(serve::Serve),
+    Ctl(ctl::Ctl),
     Encode(encode::Encode),
     Decode(decode::Decode),
     Info(info::Info),
@@ -89,18 +93,14 @@ impl Outcome {
 /// Runs the command that the arguments name.
 pub fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let level = ["warn", "info", "debug", "trace"][usize::from(arguments.verbose.min(3))];
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()))
-        .init();
+    start_log(&arguments);
     let outcome = match arguments.command {
         Command::Demo(c) => c.run(),
         Command::Devices(c) => c.run(),
         Command::Calibrate(c) => c.run(),
         Command::Capture(c) => c.run(),
+        Command::Serve(c) => c.run(),
+        Command::Ctl(c) => c.run(),
         Command::Encode(c) => c.run(),
         Command::Decode(c) => c.run(),
         Command::Info(c) => c.run(),
@@ -127,6 +127,22 @@ pub fn main() -> ExitCode {
             eprintln!("gv3: {}", one_line(&error));
             ExitCode::FAILURE
         }
+    }
+}
+
+/// Messages on standard error; a server says more of its own accord, and in JSON if asked.
+fn start_log(arguments: &Arguments) {
+    let (first, is_json) = match &arguments.command {
+        Command::Serve(serve) => (1, serve.logs_json()),
+        _ => (0, false),
+    };
+    let level = ["warn", "info", "debug", "trace"][(first + usize::from(arguments.verbose)).min(3)];
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    if is_json {
+        log.json().init();
+    } else {
+        log.with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr())).init();
     }
 }
 

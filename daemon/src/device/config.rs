@@ -5,7 +5,7 @@ use super::gv3_usb::UsbTransportKind;
 use super::recorded::{RecordedConfig, stored_config};
 use super::{CameraSettings, DeviceError, SequenceTiming, TriggerConfig, TriggerSource, V4lConfig};
 use crate::device::sim::{SceneConfig, SimConfig};
-use crate::files::ProcessingConfig;
+use crate::files::{ProcessingConfig, SessionsConfig};
 use crate::light::{Calibration, Distortion, Intrinsics, LightError, Limits, PatternSequence, Rigid};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -130,6 +130,9 @@ pub struct RigConfig {
     /// The recording, for recorded devices.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recorded: Option<RecordedConfig>,
+    /// Where the daemon records to, and for how long it keeps what it recorded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sessions: Option<SessionsConfig>,
     /// Patterns of one scan.
     pub sequence: PatternSequence,
     /// Calibration in place.
@@ -162,6 +165,7 @@ impl RigConfig {
             processing: ProcessingConfig::default(),
             sim: SimConfig::default(),
             recorded: None,
+            sessions: None,
             // 264 px is the shortest whole multiple of 22 px that the working range allows; a ratio of 12 leaves five sigma
             // of the low phase to half a fringe at the least modulation of the mask.
             sequence: PatternSequence::two_frequency(projector_size_px, 264.0, 22.0, 3),
@@ -198,6 +202,9 @@ impl RigConfig {
         }
         if let (Some(recorded), Some(folder)) = (&mut config.recorded, path.parent()) {
             recorded.path = folder.join(&recorded.path);
+        }
+        if let (Some(sessions), Some(folder)) = (&mut config.sessions, path.parent()) {
+            sessions.directory = folder.join(&sessions.directory);
         }
         config.validate()?;
         Ok(config)
@@ -248,6 +255,7 @@ impl RigConfig {
         self.limits.validate()?;
         self.projector.validate()?;
         self.sim.validate(self.sequence.patterns.len())?;
+        self.sessions.as_ref().map_or(Ok(()), SessionsConfig::validate)?;
         self.camera.v4l.as_ref().map_or(Ok(()), V4lConfig::validate)?;
         self.trigger.as_ref().map_or(Ok(()), |trigger| trigger.validate(&self.timing))?;
         let calibration = self.calibration()?;

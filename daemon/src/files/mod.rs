@@ -17,6 +17,7 @@ pub mod processing_config;
 pub mod raw_folder;
 pub mod scan_export;
 pub mod scan_folder;
+pub mod sessions_config;
 mod spool;
 
 pub use assemble::{MeshFile, Repairs};
@@ -27,4 +28,5 @@ pub use raw_folder::RawFolder;
 pub(crate) use scan_export::write_whole;
 pub use scan_export::{ExportFormat, ExportWriter};
 pub use scan_folder::{LoadedScan, ScanFolder};
+pub use sessions_config::SessionsConfig;
 pub use spool::ScanSpool;

@@ -4,13 +4,14 @@
 //! silence limit has passed. What comes after is never joined with what came before, sensor time goes on, and the ticks show
 //! the gap.
 
-use super::record::{Item, RecordError, send};
+use super::flow::{Captured, Item, Outlet};
+use super::monitor::{Monitor, Stage, thread_cpu};
+use super::record::RecordError;
 use super::{DropCounts, FrameSet, FrameSetAssembler};
 use crate::device::{CameraSettings, DeviceError, Frame, Rig, TriggerSource};
 use gv3_protocol::session::{Event, EventKind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc::Sender;
 use tracing::{debug, info, warn};
 
 /// How long the camera may be silent before a timeout is counted.
@@ -26,7 +27,7 @@ pub(super) type CaptureItem = Item<FrameSet>;
 impl CaptureItem {
     /// Whether it is a frame set.
     pub(super) fn is_set(&self) -> bool {
-        matches!(self, Self::Work(_))
+        matches!(self, Self::Work(..))
     }
 }
 
@@ -38,8 +39,9 @@ pub(super) fn capture(
     mut rig: Rig,
     periods: Option<u64>,
     stop: &AtomicBool,
-    out: &Sender<CaptureItem>,
-) -> Result<(DropCounts, u64), RecordError> {
+    out: Outlet<FrameSet>,
+    monitor: &Monitor,
+) -> Result<Captured, RecordError> {
     rig.camera.configure(&CameraSettings {
         width_px: rig.calibration.camera.width_px,
         height_px: rig.calibration.camera.height_px,
@@ -47,7 +49,7 @@ pub(super) fn capture(
         trigger: TriggerSource::Projector,
     })?;
     begin(&mut rig)?;
-    let mut run = Capture::new(&mut rig, periods, stop, out);
+    let mut run = Capture::new(&mut rig, periods, stop, (out, monitor));
     let captured = run.run();
     let is_away = run.is_away;
     // All are told to stop even if one fails; the first error counts.
@@ -81,7 +83,8 @@ struct Capture<'a> {
     rig: &'a mut Rig,
     periods: Option<u64>,
     stop: &'a AtomicBool,
-    out: &'a Sender<CaptureItem>,
+    out: Outlet<FrameSet>,
+    monitor: &'a Monitor,
     set_nanos: u64,
     assembler: FrameSetAssembler,
     /// Drops that were sent as events.
@@ -98,7 +101,12 @@ struct Capture<'a> {
 }
 
 impl<'a> Capture<'a> {
-    fn new(rig: &'a mut Rig, periods: Option<u64>, stop: &'a AtomicBool, out: &'a Sender<CaptureItem>) -> Self {
+    fn new(
+        rig: &'a mut Rig,
+        periods: Option<u64>,
+        stop: &'a AtomicBool,
+        (out, monitor): (Outlet<FrameSet>, &'a Monitor),
+    ) -> Self {
         Self {
             set_nanos: rig.timing.set_period_nanos(rig.sequence.patterns.len()),
             assembler: FrameSetAssembler::new(&rig.sequence, &rig.timing),
@@ -106,6 +114,7 @@ impl<'a> Capture<'a> {
             periods,
             stop,
             out,
+            monitor,
             told: DropCounts::default(),
             frame_bytes: 0,
             start_nanos: None,
@@ -117,8 +126,10 @@ impl<'a> Capture<'a> {
         }
     }
 
-    fn run(&mut self) -> Result<(DropCounts, u64), RecordError> {
+    fn run(&mut self) -> Result<Captured, RecordError> {
+        let mut cpu = thread_cpu();
         while !self.stop.load(Ordering::Relaxed) {
+            self.monitor.used_cpu(Stage::Capture, std::mem::replace(&mut cpu, thread_cpu()));
             match self.rig.camera.next_frame(Instant::now() + PICTURE_DEADLINE) {
                 Ok(frame) if self.is_over(self.elapsed_nanos(&frame)) => break,
                 Ok(frame) => {
@@ -144,7 +155,7 @@ impl<'a> Capture<'a> {
                 Err(error) => return Err(error.into()),
             }
         }
-        Ok((self.assembler.finish(), self.frame_bytes))
+        Ok(Captured { drops: self.assembler.finish(), frame_bytes: Some(self.frame_bytes) })
     }
 
     /// Sensor time of a frame since the first.
@@ -165,14 +176,17 @@ impl<'a> Capture<'a> {
         self.last_nanos = frame.device_time_nanos;
         self.start_nanos.get_or_insert(frame.device_time_nanos);
         self.frame_bytes += frame.picture.pixels.len() as u64;
+        self.monitor.took_picture();
         let set = self.assembler.push(frame);
         self.tell_drops(elapsed_nanos / self.set_nanos)?;
         let Some(set) = set else { return Ok(()) };
         if let Some(gap) = gap_event(self.last_tick, &set) {
-            send(self.out, Item::Event(gap))?;
+            self.out.tell(gap)?;
         }
         self.last_tick = Some(set.tick);
-        send(self.out, Item::Work(set))
+        let stamp = (set.tick, set.time_nanos);
+        self.monitor.took_set(stamp.0, stamp.1);
+        self.out.offer(set, self.arrival, stamp).map(drop)
     }
 
     /// Drops since this was last called; of the set at `tick` if no set was open.
@@ -180,7 +194,7 @@ impl<'a> Capture<'a> {
         let tick = self.assembler.last_dropped_tick().unwrap_or(tick);
         let told = std::mem::replace(&mut self.told, self.assembler.drops());
         for event in drop_events(&told, &self.told, self.last_nanos, tick) {
-            send(self.out, Item::Event(event))?;
+            self.out.tell(event)?;
         }
         Ok(())
     }
@@ -193,7 +207,7 @@ impl<'a> Capture<'a> {
         if !std::mem::replace(&mut self.is_away, true) {
             warn!(%error, "the capture is interrupted; waiting for the device");
             let kind = EventKind::Fault { source: "capture".into(), message: error.to_string() };
-            send(self.out, Item::Event(Event { time_nanos: self.last_nanos, tick, kind }))?;
+            self.out.tell(Event { time_nanos: self.last_nanos, tick, kind })?;
         }
         while self.arrival.elapsed() < self.rig.silence_limit {
             std::thread::sleep(RETRY.min(self.rig.silence_limit));
@@ -251,12 +265,23 @@ mod tests {
     use crate::device::{self, ProvenCamera, RigConfig};
     use gv3_codec::GreyPicture;
     use std::sync::{Arc, Mutex};
-    use tokio::sync::mpsc::{Receiver, channel};
+    use tokio::sync::mpsc::{Receiver, Sender, channel};
 
     fn config() -> RigConfig {
         let mut config = RigConfig::simulated();
         config.sim.scene = SceneConfig::Plane;
         config
+    }
+
+    fn capture_into(
+        rig: Rig,
+        periods: Option<u64>,
+        stop: &AtomicBool,
+        queue: Sender<CaptureItem>,
+    ) -> Result<DropCounts, RecordError> {
+        let monitor = Arc::new(Monitor::default());
+        let out = Outlet::new(queue, None, Arc::clone(&monitor));
+        capture(rig, periods, stop, out, &monitor).map(|captured| captured.drops)
     }
 
     fn difference(a: &GreyPicture, b: &GreyPicture) -> u64 {
@@ -281,7 +306,8 @@ mod tests {
         for item in items {
             match item {
                 Item::Event(event) => events.push(event),
-                Item::Work(set) => sets.push(set),
+                Item::Work(set, _) => sets.push(set),
+                _ => unreachable!("capture sends nothing else"),
             }
         }
         (events, sets)
@@ -301,7 +327,7 @@ mod tests {
         config.sim.faults = vec![Fault { kind: FaultKind::Unplugged, set: 3, picture: 2 }];
         let rig = device::open(&config).unwrap();
         let (out, mut items) = channel(1000);
-        let (drops, _) = capture(rig, Some(40), &AtomicBool::new(false), &out).unwrap();
+        let drops = capture_into(rig, Some(40), &AtomicBool::new(false), out).unwrap();
         let (events, sets) = events_and_sets(std::iter::from_fn(|| items.try_recv().ok()).collect());
         check_pictures(&sets);
         let ticks: Vec<u64> = sets.iter().map(|s| s.tick).collect();
@@ -343,7 +369,7 @@ mod tests {
         let (out, mut items) = channel(1);
         let mut all = Vec::new();
         let drops = std::thread::scope(|scope| {
-            let thread = scope.spawn(move || capture(rig, None, stop, &out).map(|(drops, _)| drops));
+            let thread = scope.spawn(move || capture_into(rig, None, stop, out));
             for away in [Duration::ZERO, Duration::from_millis(300), Duration::from_millis(3)] {
                 next_sets(&mut items, &mut all, 3);
                 socket.unplug();

@@ -2,17 +2,32 @@
 
 pub mod board_views;
 mod capture;
+mod degrade;
+mod encode_stage;
+mod flow;
 pub mod frame_set;
+mod latency;
+pub mod monitor;
 pub mod raw;
 pub mod reconstruct;
+mod reconstruct_stage;
 pub mod record;
+pub mod recording;
+mod stages;
 pub mod still;
+mod write_stage;
 
 pub use board_views::{BoardViewError, read_board_view, read_board_views, simulate_board_views};
+pub use degrade::Degradation;
+pub use flow::Ended;
 pub use frame_set::{DropCounts, FrameSet, FrameSetAssembler};
-pub use raw::{RawRecorded, RawRecorder, RawSets};
-pub use reconstruct::{Reconstruction, Reconstructor};
+pub use latency::LatencySummary;
+pub use monitor::Monitor;
+pub use raw::{RawRecorded, RawRecorder, RawSets, RawTap};
+pub use reconstruct::{PhaseMaps, Reconstruction, Reconstructor};
 pub use record::{RecordError, RecordSettings, Recorded, record};
+pub use recording::{Closed, GroupSink, Progress, Recording, SegmentLimits};
+pub use stages::{Pipeline, PipelineSettings, QueueDepths, QueueGauge};
 pub use still::StillReconstructor;
 
 use crate::light::{Calibration, LightError, Limits, PatternSequence};

@@ -1,13 +1,15 @@
 //! Raw recording beside whatever else is done with the pictures: a camera that passes on what it sees.
 
 use super::capture::{CaptureItem, capture};
+use super::flow::Outlet;
 use super::record::RecordError;
-use super::{DropCounts, FrameSet, FrameSetAssembler};
+use super::{DropCounts, FrameSet, FrameSetAssembler, Monitor};
 use crate::device::{self, Camera, CameraInfo, CameraSettings, DeviceError, Frame, Rig, RigConfig};
+use crate::light::Calibration;
 use gv3_protocol::raw::{FaultCode, RawError, RawStamp, RawWriter};
 use serde::Serialize;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
@@ -48,8 +50,33 @@ enum Entry {
     Fault(FaultCode, u64, String),
 }
 
+/// Where a camera's pictures can be had while it runs.
+#[derive(Clone, Default)]
+pub struct RawTap(Arc<Mutex<Option<Tapped>>>);
+
+/// Whoever takes the pictures.
+struct Tapped {
+    queue: SyncSender<Entry>,
+    dropped: Arc<AtomicU64>,
+}
+
+impl RawTap {
+    /// Puts a tap behind a rig's camera.
+    pub fn attach(rig: Rig) -> (Rig, Self) {
+        let tap = Self::default();
+        let waits = rig.camera.info().waits_for_reader;
+        let tee = RawTee { inner: rig.camera, tap: tap.clone(), waits, last: (0, Instant::now()) };
+        (Rig { camera: Box::new(tee), ..rig }, tap)
+    }
+
+    fn tapped(&self) -> MutexGuard<'_, Option<Tapped>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 /// Writes what a rig's camera gives into a folder, in a thread of its own.
 pub struct RawRecorder {
+    tap: RawTap,
     thread: JoinHandle<RawRecorded>,
 }
 
@@ -60,8 +87,23 @@ impl RawRecorder {
     /// # Errors
     /// [`RecordError::Raw`] when the folder cannot be used.
     pub fn attach(rig: Rig, config: &RigConfig, folder: &Path) -> Result<(Rig, Self), RecordError> {
+        let calibration = rig.calibration;
+        let (rig, tap) = RawTap::attach(rig);
+        Self::begin(&tap, calibration, config, folder).map(|recorder| (rig, recorder))
+    }
+
+    /// As [`Self::attach`], of a camera with a tap, from its next picture on.
+    ///
+    /// # Errors
+    /// [`RecordError::Raw`] when the folder cannot be used.
+    pub fn begin(
+        tap: &RawTap,
+        calibration: Calibration,
+        config: &RigConfig,
+        folder: &Path,
+    ) -> Result<Self, RecordError> {
         let mut stored = config.clone();
-        (stored.calibration_file, stored.calibration) = (None, Some(rig.calibration));
+        (stored.calibration_file, stored.calibration) = (None, Some(calibration));
         let text = toml::to_string(&stored).map_err(|e| RawError::Usage(format!("the configuration: {e}")))?;
         let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
         let writer = RawWriter::create(folder, &text, created)?;
@@ -72,16 +114,16 @@ impl RawRecorder {
             .name("gv3-raw".into())
             .spawn(move || write_all(writer, &entries, &seen))
             .map_err(|_| RecordError::Stage("raw"))?;
-        let waits = rig.camera.info().waits_for_reader;
-        let tee = RawTee { inner: rig.camera, queue, dropped, waits, last: (0, Instant::now()) };
-        Ok((Rig { camera: Box::new(tee), ..rig }, Self { thread }))
+        *tap.tapped() = Some(Tapped { queue, dropped });
+        Ok(Self { tap: tap.clone(), thread })
     }
 
-    /// Waits until everything is on disk; the rig must be gone by then.
+    /// Takes no more pictures and waits until those it has are on disk.
     ///
     /// # Errors
     /// [`RecordError::Stage`] when the writing thread died.
     pub fn finish(self) -> Result<RawRecorded, RecordError> {
+        self.tap.tapped().take();
         self.thread.join().map_err(|_| RecordError::Stage("raw"))
     }
 }
@@ -131,11 +173,10 @@ fn size_px(frame: &Frame) -> [u32; 2] {
     [frame.picture.width_px, frame.picture.height_px]
 }
 
-/// A camera whose frames and faults go to the recorder too.
+/// A camera whose frames and faults go to the recorder too, while there is one.
 struct RawTee {
     inner: Box<dyn Camera>,
-    queue: SyncSender<Entry>,
-    dropped: Arc<AtomicU64>,
+    tap: RawTap,
     /// Nothing is lost by letting the camera wait.
     waits: bool,
     /// Host time of the last frame, nanoseconds, and when it was passed on.
@@ -143,12 +184,14 @@ struct RawTee {
 }
 
 impl RawTee {
-    fn record(&mut self, entry: Entry) {
+    fn record(&mut self, entry: impl FnOnce() -> Entry) {
+        let tapped = self.tap.tapped();
+        let Some(Tapped { queue, dropped }) = &*tapped else { return };
         let sent = match self.waits {
-            true => self.queue.send(entry).map_err(|_| ()),
-            false => self.queue.try_send(entry).map_err(|_| ()),
+            true => queue.send(entry()).map_err(|_| ()),
+            false => queue.try_send(entry()).map_err(|_| ()),
         };
-        if sent.is_err() && self.dropped.fetch_add(1, Ordering::Relaxed) == 0 {
+        if sent.is_err() && dropped.fetch_add(1, Ordering::Relaxed) == 0 {
             warn!("the disk is too slow for the raw recording: pictures are left out and counted");
         }
     }
@@ -173,7 +216,7 @@ impl Camera for RawTee {
         let (code, message) = match &result {
             Ok(frame) => {
                 self.last = (frame.host_time_nanos, Instant::now());
-                self.record(Entry::Frame(frame.clone()));
+                self.record(|| Entry::Frame(frame.clone()));
                 return result;
             }
             // The end of a recording that is recorded again is no fault, nor is a call out of order.
@@ -182,7 +225,7 @@ impl Camera for RawTee {
             Err(DeviceError::Disconnected(device)) => (FaultCode::Disconnected, device.clone()),
             Err(other) => (FaultCode::Other, other.to_string()),
         };
-        self.record(Entry::Fault(code, host_nanos, message));
+        self.record(|| Entry::Fault(code, host_nanos, message));
         result
     }
 
@@ -202,15 +245,17 @@ pub fn run_rig(
     progress: &AtomicU64,
 ) -> Result<(u64, DropCounts), RecordError> {
     let (out, mut sets) = tokio::sync::mpsc::channel::<CaptureItem>(4);
+    let monitor = Arc::new(Monitor::default());
     std::thread::scope(|scope| {
-        let capture = scope.spawn(move || capture(rig, scan_periods, stop, &out));
+        let outlet = Outlet::new(out, None, Arc::clone(&monitor));
+        let capture = scope.spawn(|| capture(rig, scan_periods, stop, outlet, &monitor));
         let mut count = 0;
         while let Some(item) = sets.blocking_recv() {
             count += u64::from(item.is_set());
             progress.store(count, Ordering::Relaxed);
         }
-        let (drops, _) = capture.join().map_err(|_| RecordError::Stage("capture"))??;
-        Ok((count, drops))
+        let captured = capture.join().map_err(|_| RecordError::Stage("capture"))??;
+        Ok((count, captured.drops))
     })
 }
 

@@ -24,6 +24,21 @@ pub struct Reconstruction {
     pub rejected: RejectedPixels,
 }
 
+/// What was decoded of a frame set on the way to its scan, row by row, a value a pixel of the camera.
+#[derive(Debug, Clone)]
+pub struct PhaseMaps {
+    /// Columns.
+    pub width_px: usize,
+    /// Rows.
+    pub height_px: usize,
+    /// Modulation B of the finest fringes, grey levels.
+    pub modulation: Vec<f32>,
+    /// Wrapped phase of the finest fringes, in (-pi, pi].
+    pub wrapped_phase_rad: Vec<f32>,
+    /// Whether the pixel became a vertex.
+    pub is_kept: Vec<bool>,
+}
+
 /// Turns frame sets into scans, whatever absolute scheme their sequence is of.
 #[derive(Debug, Clone)]
 pub struct Reconstructor {
@@ -181,13 +196,18 @@ impl Decoding {
         }
     }
 
+    /// The finest fringes; `None` without fringes.
+    fn finest(&self) -> Option<&WrappedPhase> {
+        match self {
+            Self::TwoFrequency(two) => Some(&two.high_phase),
+            Self::Columns(one) | Self::Rows(one) => one.measured.bursts().last(),
+            Self::Both(columns, rows, _) => columns.measured.bursts().last().or(rows.measured.bursts().last()),
+        }
+    }
+
     /// Background of the finest fringes, grey levels; `None` without fringes.
     fn background(&self) -> Option<&[f32]> {
-        match self {
-            Self::TwoFrequency(two) => Some(&two.high_phase.background),
-            Self::Columns(one) | Self::Rows(one) => one.measured.background(),
-            Self::Both(columns, rows, _) => columns.measured.background().or(rows.measured.background()),
-        }
+        self.finest().map(|finest| finest.background.as_slice())
     }
 
     fn valid_depth(&self) -> Option<DepthRange> {
@@ -272,6 +292,19 @@ impl Reconstructor {
         let texture = Some(self.texture(&pictures));
         let scan = Scan { tick: set.tick, time_nanos: set.time_nanos, mesh, texture };
         Ok(Reconstruction { scan, rejected: self.mask.count() })
+    }
+
+    /// Maps of the last frame set; `None` of patterns without fringes.
+    pub fn maps(&self) -> Option<PhaseMaps> {
+        let finest = self.decoding.finest()?;
+        let PixelMask { width_px, height_px, verdicts, .. } = &self.mask;
+        Some(PhaseMaps {
+            width_px: *width_px,
+            height_px: *height_px,
+            modulation: finest.modulation.clone(),
+            wrapped_phase_rad: finest.phase_rad.clone(),
+            is_kept: (0..verdicts.len()).map(|i| self.mask.is_kept(i)).collect(),
+        })
     }
 
     /// The background of the finest fringes, else the white picture, else the first.

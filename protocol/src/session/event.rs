@@ -49,6 +49,16 @@ pub enum EventKind {
         /// What changed.
         change: String,
     },
+    /// Somebody marked this moment.
+    Mark {
+        /// Why.
+        text: String,
+    },
+    /// The recorder leaves out more or less, so as to keep up.
+    Degradation {
+        /// `none`, `no_between_correction` or `no_between_scans`.
+        level: String,
+    },
     /// A kind this version does not know.
     #[serde(other)]
     Other,

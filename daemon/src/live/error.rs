@@ -1,0 +1,49 @@
+//! Why the engine did not do what was asked.
+
+use crate::device::DeviceError;
+use crate::pipeline::RecordError;
+use std::path::{Path, PathBuf};
+
+/// Why the engine did not do what was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum LiveError {
+    /// Not now.
+    #[error("{0}")]
+    State(String),
+    /// A name or a text that cannot be taken.
+    #[error("{0}")]
+    Name(String),
+    /// A configuration that cannot work, or a device that does not.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// Scanning or recording failed.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// A folder cannot be used.
+    #[error("{}: {reason}", path.display())]
+    Disk {
+        /// The folder.
+        path: PathBuf,
+        /// What was found and what to do.
+        reason: String,
+    },
+    /// Too little room for a recording.
+    #[error("{}: {free_bytes} bytes are free, recordings need {floor_bytes}; delete sessions, or lower the floor", path.display())]
+    Space {
+        /// The session directory.
+        path: PathBuf,
+        /// Free bytes.
+        free_bytes: u64,
+        /// Bytes that must stay free.
+        floor_bytes: u64,
+    },
+    /// The stages did not answer in time.
+    #[error("the recording was not finished within {0} s; it is still being written")]
+    Timeout(u64),
+}
+
+impl LiveError {
+    pub(super) fn disk(path: &Path, reason: String) -> Self {
+        Self::Disk { path: path.into(), reason }
+    }
+}

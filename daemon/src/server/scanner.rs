@@ -1,0 +1,124 @@
+//! The scanner, its recordings and its configuration.
+
+use super::engine::{LiveError, LiveStatus, RecordingRequest};
+use super::input::Input;
+use super::problem::Problem;
+use super::shared::{Shared, State};
+use crate::device::plugged::Plugged;
+use crate::store::SessionName;
+use axum::Json;
+use axum::http::{StatusCode, header};
+use axum::response::IntoResponse;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::sync::Arc;
+
+/// Longest text of a mark, bytes.
+const MAX_MARK_BYTES: usize = 1000;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Login {
+    token: String,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recording {
+    name: Option<String>,
+    #[serde(default)]
+    raw: bool,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Mark {
+    text: String,
+}
+
+impl From<LiveError> for Problem {
+    fn from(error: LiveError) -> Self {
+        Self::conflict(error.to_string())
+    }
+}
+
+/// POST /login: the token as a cookie.
+pub async fn login(axum::extract::State(shared): State, Input(login): Input<Login>) -> Result<impl IntoResponse, Problem> {
+    match shared.guard.token() {
+        Some(token) if token.is(&login.token) => Ok((StatusCode::NO_CONTENT, [(header::SET_COOKIE, token.cookie())]).into_response()),
+        Some(_) => Err(Problem::new(StatusCode::UNAUTHORIZED, "that is not the token")),
+        None => Ok(StatusCode::NO_CONTENT.into_response()),
+    }
+}
+
+/// GET /status.
+pub async fn status(axum::extract::State(shared): State) -> Result<Json<LiveStatus>, Problem> {
+    Ok(Json(shared.blocking(|s| Ok(s.live.status())).await?))
+}
+
+/// POST /scanner/start.
+pub async fn start(axum::extract::State(shared): State) -> Result<StatusCode, Problem> {
+    shared.blocking(|s| Ok(s.live.start_scanner()?)).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// POST /scanner/stop.
+pub async fn stop(axum::extract::State(shared): State) -> Result<StatusCode, Problem> {
+    shared.blocking(|s| Ok(s.live.stop_scanner()?)).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// POST /recording/start.
+pub async fn start_recording(
+    axum::extract::State(shared): State,
+    Input(recording): Input<Recording>,
+) -> Result<impl IntoResponse, Problem> {
+    let name = recording.name.as_deref().map(SessionName::new).transpose()?;
+    let request = RecordingRequest { name: name.map(|n| n.to_string()), raw: recording.raw };
+    let started = shared.blocking(|s| Ok(s.live.start_recording(request)?)).await?;
+    Ok((StatusCode::CREATED, Json(started)))
+}
+
+/// POST /recording/stop: when it answers, the files are closed, durable and verified.
+pub async fn stop_recording(axum::extract::State(shared): State) -> Result<impl IntoResponse, Problem> {
+    Ok(Json(shared.blocking(|s| Ok(s.live.stop_recording()?)).await?))
+}
+
+/// POST /recording/mark.
+pub async fn mark(axum::extract::State(shared): State, Input(mark): Input<Mark>) -> Result<Json<Value>, Problem> {
+    if mark.text.len() > MAX_MARK_BYTES {
+        return Err(Problem::bad_request(format!("text: longer than {MAX_MARK_BYTES} bytes")));
+    }
+    let tick = shared.blocking(move |s| Ok(s.live.mark(&mark.text)?)).await?;
+    Ok(Json(json!({ "tick": tick })))
+}
+
+/// POST /config/reload.
+pub async fn reload(axum::extract::State(shared): State) -> Result<StatusCode, Problem> {
+    reload_now(&shared).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// Reads the configuration and hands it to the engine, all of it or nothing.
+///
+/// # Errors
+/// [`Problem`]: the file is wrong (422), or the engine refuses it now (409).
+pub async fn reload_now(shared: &Arc<Shared>) -> Result<(), Problem> {
+    shared
+        .blocking(|s| {
+            let config = (s.read_config)()
+                .map_err(|e| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, format!("not reloaded: {e:#}")))?;
+            Ok(s.live.reload(config)?)
+        })
+        .await
+}
+
+/// GET /devices.
+pub async fn devices(axum::extract::State(shared): State) -> Result<Json<Plugged>, Problem> {
+    Ok(Json(shared.blocking(|_| Ok(Plugged::find())).await?))
+}
+
+/// POST /doctor.
+pub async fn doctor() -> Problem {
+    Problem::new(StatusCode::NOT_IMPLEMENTED, "this build has no doctor")
+}

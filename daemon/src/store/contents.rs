@@ -1,0 +1,202 @@
+//! What session files hold, read without decoding a surface.
+
+use super::StoreError;
+use crate::replay::ReplayError;
+use gv3_codec::{StreamHeader, decode_stamps};
+use gv3_protocol::session::{Event, EventKind, SessionReader, SessionState, key};
+use serde::Serialize;
+use serde_json::{Map, Value};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// Figures of one session file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FileContents {
+    /// Whether it ends with an intact summary.
+    pub is_finished: bool,
+    /// Coding mode.
+    pub mode: String,
+    /// When it was begun, nanoseconds since 1970.
+    pub created_unix_nanos: Option<u64>,
+    /// Scans.
+    pub scans: u64,
+    /// Keyframes.
+    pub keyframes: u64,
+    /// Tick of the first scan.
+    pub first_tick: u64,
+    /// Tick of the last scan.
+    pub last_tick: u64,
+    /// Nanoseconds of one tick.
+    pub period_nanos: u64,
+    /// Size of the same scans as OBJ and BMP files, bytes, where it is known.
+    pub obj_bmp_bytes: Option<u64>,
+}
+
+impl FileContents {
+    /// Reads the index; where the file has no statistics, the stamps of its groups too.
+    ///
+    /// # Errors
+    /// [`StoreError::Session`] when it is no session, [`StoreError::Replay`] when a group's stamps do not decode.
+    pub fn read(path: &Path) -> Result<Self, StoreError> {
+        let mut reader = SessionReader::open(path)?;
+        let statistics = reader.metadata().statistics();
+        let number = |name| statistics.and_then(|s| s.number::<u64>(name));
+        let (stored_scans, obj_bmp_bytes) = (number(key::SCANS), number(key::RAW_OBJ_BMP_BYTES));
+        let session = reader.metadata().group(key::SESSION);
+        let mode = session.and_then(|s| s.get(key::MODE)).unwrap_or("unknown").to_owned();
+        let created_unix_nanos = session.and_then(|s| s.number(key::CREATED_UNIX_NANOS)).filter(|&nanos| nanos > 0);
+        let period_nanos = match reader.streams().is_empty() {
+            true => 0,
+            false => header(path, &mut reader, 0)?.scan_period_nanos,
+        };
+        let groups = reader.groups();
+        let ends = groups.first().zip(groups.last()).map_or((0, 0), |(a, b)| (a.first_tick, b.key_tick));
+        let keyframes = groups.len() as u64;
+        let scans = match stored_scans {
+            Some(scans) => scans,
+            None => group_figures(path, &mut reader)?.iter().map(|g| g.ticks.len() as u64).sum(),
+        };
+        Ok(Self {
+            is_finished: *reader.state() == SessionState::Clean,
+            mode,
+            created_unix_nanos,
+            scans,
+            keyframes,
+            first_tick: ends.0,
+            last_tick: ends.1,
+            period_nanos,
+            obj_bmp_bytes,
+        })
+    }
+}
+
+/// One group of a session.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct GroupFigures {
+    /// Tick of its keyframe.
+    pub key_tick: u64,
+    /// Bytes of geometry and texture.
+    pub bytes: u64,
+    /// Scans.
+    pub scans: u64,
+    /// Ticks of the scans, increasing; the keyframe's is the last.
+    #[serde(skip)]
+    pub ticks: Vec<u64>,
+}
+
+/// Everything about a session that is listed when it is opened.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct SessionDetail {
+    /// Tick of the first scan.
+    pub first_tick: u64,
+    /// Tick of the last scan.
+    pub last_tick: u64,
+    /// Nanoseconds of one tick.
+    pub period_nanos: u64,
+    /// Events, each with `tick`, `time_nanos`, `kind` and what belongs to the kind.
+    pub events: Vec<Value>,
+    /// Scans and frame sets left out, by cause.
+    pub drops: BTreeMap<String, u64>,
+    /// Ticks from first to last that have no scan.
+    pub missing_ticks: u64,
+    /// Groups in time order.
+    pub groups: Vec<GroupFigures>,
+}
+
+/// Bytes scan by scan: a group's bytes are shared evenly among its scans, what does not divide goes to the keyframe.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct Curve {
+    /// Ticks of the scans.
+    pub ticks: Vec<u64>,
+    /// Bytes of each.
+    pub bytes: Vec<u64>,
+    /// Whether each is a keyframe.
+    pub is_key: Vec<bool>,
+}
+
+/// Reads the detail of a session from its segments.
+///
+/// # Errors
+/// As [`FileContents::read`].
+pub fn detail(segments: &[PathBuf]) -> Result<SessionDetail, StoreError> {
+    let mut detail = SessionDetail::default();
+    for path in segments {
+        let mut reader = SessionReader::open(path)?;
+        if !reader.streams().is_empty() {
+            detail.period_nanos = header(path, &mut reader, 0)?.scan_period_nanos;
+        }
+        detail.groups.extend(group_figures(path, &mut reader)?);
+        for event in reader.events()? {
+            if let EventKind::Drop { cause, count } = &event.kind {
+                *detail.drops.entry(cause.clone()).or_default() += count;
+            }
+            detail.events.push(as_value(&event));
+        }
+    }
+    let ends = detail.groups.first().zip(detail.groups.last());
+    if let Some((first, last)) = ends.and_then(|(a, b)| a.ticks.first().copied().zip(Some(b.key_tick))) {
+        let scans: u64 = detail.groups.iter().map(|g| g.scans).sum();
+        (detail.first_tick, detail.last_tick) = (first, last);
+        detail.missing_ticks = (last - first + 1).saturating_sub(scans);
+    }
+    Ok(detail)
+}
+
+/// Reads the bytes of every scan.
+///
+/// # Errors
+/// As [`FileContents::read`].
+pub fn curve(segments: &[PathBuf]) -> Result<Curve, StoreError> {
+    let mut curve = Curve::default();
+    for path in segments {
+        let mut reader = SessionReader::open(path)?;
+        for group in group_figures(path, &mut reader)? {
+            let share = group.bytes / group.scans.max(1);
+            for &tick in &group.ticks {
+                let is_key = tick == group.key_tick;
+                curve.ticks.push(tick);
+                curve.bytes.push(if is_key { group.bytes - share * (group.scans - 1) } else { share });
+                curve.is_key.push(is_key);
+            }
+        }
+    }
+    Ok(curve)
+}
+
+fn header(path: &Path, reader: &mut SessionReader<File>, stream: usize) -> Result<StreamHeader, StoreError> {
+    let bytes = reader.read_stream(stream)?;
+    Ok(StreamHeader::decode(&bytes)
+        .map_err(|e| ReplayError::Content { path: path.into(), reason: format!("stream header {stream}: {e}") })?)
+}
+
+fn group_figures(path: &Path, reader: &mut SessionReader<File>) -> Result<Vec<GroupFigures>, StoreError> {
+    let streams = reader.streams().to_vec();
+    let mut figures = Vec::with_capacity(reader.groups().len());
+    for (at, stream) in streams.iter().enumerate() {
+        let header = header(path, reader, at)?;
+        let end = streams.get(at + 1).map_or(reader.groups().len(), |next| next.first_group);
+        for group in stream.first_group..end {
+            let stored = reader.read_group(group)?;
+            let stamps = decode_stamps(&header, &stored.geometry)
+                .map_err(|source| ReplayError::Payload { path: path.into(), group, source })?;
+            let (entry, ticks) = (stored.entry, stamps.iter().map(|s| s.tick).collect::<Vec<_>>());
+            let bytes = entry.geometry_bytes + entry.texture_bytes;
+            figures.push(GroupFigures { key_tick: entry.key_tick, bytes, scans: ticks.len() as u64, ticks });
+        }
+    }
+    Ok(figures)
+}
+
+/// The event as the interface shows it: its kind under `kind`.
+fn as_value(event: &Event) -> Value {
+    let mut fields = match serde_json::to_value(event) {
+        Ok(Value::Object(fields)) => fields,
+        _ => Map::new(),
+    };
+    if let Some(kind) = fields.remove("event") {
+        fields.insert("kind".into(), kind);
+    }
+    Value::Object(fields)
+}
+

@@ -1,0 +1,316 @@
+//! Lists, renames and deletes sessions; one process at a time has the directory.
+
+use super::contents::FileContents;
+use super::{SessionName, StoreError, rfc3339};
+use rustix::fs::{CWD, FlockOperation, RenameFlags};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::{Read, Seek, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
+
+/// File whose lock says that the directory is in use.
+const LOCK_FILE: &str = ".gv3.lock";
+
+/// How a session stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum State {
+    /// Being recorded now.
+    Recording,
+    /// Every segment is finished.
+    Complete,
+    /// A segment ends early: its writer was stopped.
+    Unfinished,
+    /// A segment cannot be read at all.
+    Damaged,
+}
+
+/// One line of the list of sessions.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SessionSummary {
+    /// Name.
+    pub name: SessionName,
+    /// Bytes of all segments.
+    pub bytes: u64,
+    /// From first to last scan.
+    pub seconds: f64,
+    /// Scans.
+    pub scans: u64,
+    /// Keyframes.
+    pub keyframes: u64,
+    /// Size of the same scans as OBJ and BMP files over `bytes`, where it is known.
+    pub ratio: Option<f64>,
+    /// When it was begun (RFC 3339, UTC).
+    pub created: Option<String>,
+    /// How it stands.
+    pub state: State,
+    /// Coding mode; empty when no segment can be read.
+    pub mode: String,
+    /// Files.
+    pub segments: u32,
+    /// Bytes of the raw pictures kept beside it, where there are any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub raw_bytes: Option<u64>,
+    /// Why it is damaged.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fault: Option<String>,
+}
+
+/// A file's figures as of a time of change and a length.
+struct Cached {
+    modified: Option<SystemTime>,
+    bytes: u64,
+    contents: Result<Arc<FileContents>, String>,
+}
+
+/// One segment on disk.
+#[derive(Debug, Clone)]
+pub(super) struct Segment {
+    pub number: u32,
+    pub path: PathBuf,
+    pub bytes: u64,
+    pub modified: Option<SystemTime>,
+}
+
+/// An open session directory, locked against other processes for as long as it lives.
+pub struct SessionDirectory {
+    path: PathBuf,
+    cache: Mutex<BTreeMap<PathBuf, Cached>>,
+    _lock: File,
+}
+
+impl SessionDirectory {
+    /// Opens the directory, creating it if need be, and takes its lock.
+    ///
+    /// # Errors
+    /// [`StoreError::Locked`] when another process has it, [`StoreError::Io`] as the system reports.
+    pub fn open(path: &Path) -> Result<Self, StoreError> {
+        fs::create_dir_all(path).map_err(StoreError::io(path, "create the session directory"))?;
+        let path = fs::canonicalize(path).map_err(StoreError::io(path, "open the session directory"))?;
+        let lock_path = path.join(LOCK_FILE);
+        let mut lock = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&lock_path)
+            .map_err(StoreError::io(&lock_path, "create"))?;
+        if rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+            let mut pid = String::new();
+            // Who it is helps, but is not needed.
+            let _ = (&lock).take(20).read_to_string(&mut pid);
+            let is_known = !pid.trim().is_empty() && pid.trim().bytes().all(|b| b.is_ascii_digit());
+            let holder = if is_known { format!(" (process {})", pid.trim()) } else { String::new() };
+            return Err(StoreError::Locked { path, holder });
+        }
+        let written = lock.set_len(0).and_then(|()| lock.rewind()).and_then(|()| {
+            let text = format!("{}\n", std::process::id());
+            lock.write_all(text.as_bytes())
+        });
+        written.map_err(StoreError::io(&lock_path, "write"))?;
+        Ok(Self { path, cache: Mutex::new(BTreeMap::new()), _lock: lock })
+    }
+
+    /// The directory.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// All sessions in the order of their names; `recording` is the one being recorded.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`] when the directory cannot be read.
+    pub fn list(&self, recording: Option<&SessionName>) -> Result<Vec<SessionSummary>, StoreError> {
+        let all = self.segments()?;
+        let known: Vec<&PathBuf> = all.values().flatten().map(|s| &s.path).collect();
+        self.cache().retain(|path, _| known.contains(&path));
+        Ok(all.iter().map(|(name, segments)| self.summarize(name, segments, recording == Some(name))).collect())
+    }
+
+    /// One session.
+    ///
+    /// # Errors
+    /// [`StoreError::NotFound`].
+    pub fn summary(&self, name: &SessionName, recording: Option<&SessionName>) -> Result<SessionSummary, StoreError> {
+        Ok(self.summarize(name, &self.segments_of(name)?, recording == Some(name)))
+    }
+
+    /// Files of a session, in time order; at least one.
+    ///
+    /// # Errors
+    /// [`StoreError::NotFound`].
+    pub fn files(&self, name: &SessionName) -> Result<Vec<PathBuf>, StoreError> {
+        Ok(self.segments_of(name)?.into_iter().map(|s| s.path).collect())
+    }
+
+    /// Gives a session another name, all its files or none.
+    ///
+    /// # Errors
+    /// [`StoreError`]: not found, being recorded, the new name taken, or the system's refusal.
+    pub fn rename(
+        &self,
+        from: &SessionName,
+        to: &SessionName,
+        recording: Option<&SessionName>,
+    ) -> Result<(), StoreError> {
+        let segments = self.not_recording(from, recording)?;
+        let mut moves: Vec<(PathBuf, PathBuf)> =
+            segments.iter().map(|s| (s.path.clone(), self.path.join(to.file(s.number)))).collect();
+        let raw = self.path.join(from.raw_folder());
+        if raw.is_dir() {
+            moves.push((raw, self.path.join(to.raw_folder())));
+        }
+        if self.segments()?.contains_key(to) {
+            return Err(StoreError::Exists(to.to_string()));
+        }
+        for (done, (old, new)) in moves.iter().enumerate() {
+            let Err(error) = rustix::fs::renameat_with(CWD, old, CWD, new, RenameFlags::NOREPLACE) else { continue };
+            for (old, new) in moves[..done].iter().rev() {
+                // What cannot be moved back keeps its new name, which the list shows.
+                let _ = rustix::fs::renameat_with(CWD, new, CWD, old, RenameFlags::NOREPLACE);
+            }
+            return Err(match error {
+                rustix::io::Errno::EXIST => StoreError::Exists(to.to_string()),
+                error => StoreError::io(old, "rename")(error.into()),
+            });
+        }
+        self.sync()
+    }
+
+    /// Deletes a session with all its files and returns the bytes that it had.
+    ///
+    /// # Errors
+    /// [`StoreError`]: not found, being recorded, or the system's refusal.
+    pub fn delete(&self, name: &SessionName, recording: Option<&SessionName>) -> Result<u64, StoreError> {
+        let segments = self.not_recording(name, recording)?;
+        let raw = self.path.join(name.raw_folder());
+        let mut freed = segments.iter().map(|s| s.bytes).sum();
+        if fs::symlink_metadata(&raw).is_ok_and(|m| m.is_dir()) {
+            freed += folder_bytes(&raw);
+            fs::remove_dir_all(&raw).map_err(StoreError::io(&raw, "delete"))?;
+        }
+        // The first segment last: what is left after a failure is still listed under its name.
+        for segment in segments.iter().rev() {
+            fs::remove_file(&segment.path).map_err(StoreError::io(&segment.path, "delete"))?;
+        }
+        self.sync()?;
+        Ok(freed)
+    }
+
+    fn not_recording(
+        &self,
+        name: &SessionName,
+        recording: Option<&SessionName>,
+    ) -> Result<Vec<Segment>, StoreError> {
+        if recording == Some(name) {
+            return Err(StoreError::Recording(name.to_string()));
+        }
+        self.segments_of(name)
+    }
+
+    /// Makes changes of names durable.
+    fn sync(&self) -> Result<(), StoreError> {
+        File::open(&self.path).and_then(|d| d.sync_all()).map_err(StoreError::io(&self.path, "sync"))
+    }
+
+    /// Regular files that are sessions, by name, in the order of their numbers.
+    pub(super) fn segments(&self) -> Result<BTreeMap<SessionName, Vec<Segment>>, StoreError> {
+        let mut all: BTreeMap<SessionName, Vec<Segment>> = BTreeMap::new();
+        let entries = fs::read_dir(&self.path).map_err(StoreError::io(&self.path, "read"))?;
+        for entry in entries.filter_map(Result::ok) {
+            let Some((name, number)) = entry.file_name().to_str().and_then(SessionName::of_file) else { continue };
+            // Of the entry itself: a link is not followed.
+            let Ok(metadata) = entry.metadata() else { continue };
+            if metadata.is_file() {
+                let (bytes, modified) = (metadata.len(), metadata.modified().ok());
+                all.entry(name).or_default().push(Segment { number, path: entry.path(), bytes, modified });
+            }
+        }
+        for segments in all.values_mut() {
+            segments.sort_by_key(|s| s.number);
+        }
+        Ok(all)
+    }
+
+    fn segments_of(&self, name: &SessionName) -> Result<Vec<Segment>, StoreError> {
+        self.segments()?.remove(name).ok_or_else(|| StoreError::NotFound(name.to_string()))
+    }
+
+    fn cache(&self) -> std::sync::MutexGuard<'_, BTreeMap<PathBuf, Cached>> {
+        self.cache.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn contents(&self, segment: &Segment) -> Result<Arc<FileContents>, String> {
+        let fits = |c: &&Cached| c.bytes == segment.bytes && c.modified == segment.modified;
+        if let Some(cached) = self.cache().get(&segment.path).filter(fits) {
+            return cached.contents.clone();
+        }
+        let contents = FileContents::read(&segment.path).map(Arc::new).map_err(|e| e.to_string());
+        let cached = Cached { modified: segment.modified, bytes: segment.bytes, contents: contents.clone() };
+        self.cache().insert(segment.path.clone(), cached);
+        contents
+    }
+
+    fn summarize(&self, name: &SessionName, segments: &[Segment], is_recording: bool) -> SessionSummary {
+        let bytes = segments.iter().map(|s| s.bytes).sum();
+        let raw = self.path.join(name.raw_folder());
+        let raw_bytes = fs::symlink_metadata(&raw).is_ok_and(|m| m.is_dir()).then(|| folder_bytes(&raw));
+        let mut summary = SessionSummary {
+            name: name.clone(),
+            bytes,
+            seconds: 0.0,
+            scans: 0,
+            keyframes: 0,
+            ratio: None,
+            created: None,
+            state: State::Complete,
+            mode: String::new(),
+            segments: segments.len() as u32,
+            raw_bytes,
+            fault: None,
+        };
+        // The growing last segment of a recording would be read anew at every call; the engine has its figures.
+        let read = if is_recording { &segments[..segments.len() - 1] } else { segments };
+        self.add_contents(&mut summary, read);
+        if is_recording {
+            (summary.state, summary.fault) = (State::Recording, None);
+        }
+        summary
+    }
+
+    fn add_contents(&self, summary: &mut SessionSummary, segments: &[Segment]) {
+        let (mut obj_bmp_bytes, mut ticks) = (Some(0), None);
+        for segment in segments {
+            let c = match self.contents(segment) {
+                Ok(contents) => contents,
+                Err(fault) => {
+                    (summary.state, summary.fault) = (State::Damaged, Some(fault));
+                    continue;
+                }
+            };
+            if !c.is_finished && summary.state == State::Complete {
+                summary.state = State::Unfinished;
+            }
+            summary.scans += c.scans;
+            summary.keyframes += c.keyframes;
+            summary.mode.clone_from(&c.mode);
+            summary.created = summary.created.take().or_else(|| c.created_unix_nanos.map(rfc3339));
+            obj_bmp_bytes = obj_bmp_bytes.zip(c.obj_bmp_bytes).map(|(a, b)| a + b);
+            if c.keyframes > 0 {
+                let first = ticks.map_or(c.first_tick, |(first, _)| first);
+                ticks = Some((first, c.last_tick));
+                summary.seconds = c.last_tick.saturating_sub(first) as f64 * c.period_nanos as f64 * 1e-9;
+            }
+        }
+        summary.ratio = obj_bmp_bytes.filter(|&b| b > 0).map(|b| b as f64 / summary.bytes.max(1) as f64);
+    }
+}
+
+/// Bytes of the files of a folder; what cannot be read counts nothing.
+fn folder_bytes(folder: &Path) -> u64 {
+    let entries = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+    entries.filter_map(|e| e.metadata().ok()).filter(fs::Metadata::is_file).map(|m| m.len()).sum()
+}
