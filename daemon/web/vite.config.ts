@@ -20,7 +20,7 @@ function licences(): Plugin {
   };
 }
 
-const daemon = process.env["GV3_DAEMON"] ?? "http://127.0.0.1:8420";
+const daemon = process.env["GV3_DAEMON"] ?? "http://127.0.0.1:8433";
 
 export default defineConfig({
   base: "./",

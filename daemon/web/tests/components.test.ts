@@ -66,7 +66,7 @@ describe("a socket", () => {
     binaryType = "";
     onopen: (() => void) | null = null;
     onmessage: ((event: { data: unknown }) => void) | null = null;
-    onclose: (() => void) | null = null;
+    onclose: ((event: { reason: string }) => void) | null = null;
     sent: string[] = [];
     constructor(readonly url: string) {
       FakeSocket.all.push(this);
@@ -94,7 +94,7 @@ describe("a socket", () => {
     const socket = new ReconnectingSocket("ws://d", { message: () => undefined, state: (s) => states.push(s), open });
     const first = FakeSocket.all[0]!;
     first.onopen!();
-    first.onclose!();
+    first.onclose!({ reason: "" });
     expect(socket.state).toBe("waiting");
     vi.advanceTimersByTime(250);
     expect(FakeSocket.all.length).toBe(2);

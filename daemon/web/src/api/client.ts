@@ -84,7 +84,7 @@ export class Client {
   reports = () => this.request<{ reports: ReportName[] }>("GET", "reports").then((r) => r.reports);
   report = (name: string) => this.request<unknown>("GET", `reports/${encodeURIComponent(name)}`);
 
-  fileUrl = (name: string) => this.url(`${session(name)}/file`);
+  fileUrl = (name: string, segment = 1) => this.url(`${session(name)}/file${segment > 1 ? `?segment=${segment}` : ""}`);
   thumbnailUrl = (name: string) => this.url(`${session(name)}/thumbnail.png`);
   resultUrl = (id: Job["id"]) => this.url(`jobs/${id}/result`);
 }

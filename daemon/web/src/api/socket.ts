@@ -9,8 +9,8 @@ export interface SocketHandlers {
   state?: (state: SocketState) => void;
   /** The connection stands; say again what the other side must know. */
   open?: () => void;
-  /** It could not be made or broke: a chance to ask why over HTTP. */
-  lost?: () => void;
+  /** It could not be made or broke; `reason` is what the other side said, if anything. */
+  lost?: (reason: string) => void;
 }
 
 const FIRST_WAIT_MS = 250;
@@ -70,16 +70,16 @@ export class ReconnectingSocket {
       this.lastMessageMs = performance.now();
       this.handlers.message(data);
     };
-    socket.onclose = () => this.wait();
+    socket.onclose = ({ reason }) => this.wait(reason);
     this.socket = socket;
   }
 
-  private wait(): void {
+  private wait(reason: string): void {
     if (this.state === "closed") return;
     this.detach();
     this.set("waiting");
     this.timer = setTimeout(() => this.connect(), backoffMs(this.attempt++));
-    this.handlers.lost?.();
+    this.handlers.lost?.(reason);
   }
 
   private detach(): void {

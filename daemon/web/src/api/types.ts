@@ -73,11 +73,15 @@ export interface SessionSummary {
   scans: number;
   keyframes: number;
   ratio: number | null;
-  created: string;
+  created: string | null;
   state: "recording" | "complete" | "unfinished" | "damaged";
   mode: string;
   segments: number;
   tolerance_mm?: number | null;
+  /** Bytes of the raw pictures kept beside it. */
+  raw_bytes?: number;
+  /** Why it is damaged. */
+  fault?: string;
 }
 
 export interface SessionDetail extends SessionSummary {

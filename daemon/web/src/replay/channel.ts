@@ -30,12 +30,15 @@ export class ReplayChannel {
     const path = `sessions/${encodeURIComponent(session)}/replay?as=${output}&max_vertices=${MOST_VERTICES}`;
     this.socket = new ReconnectingSocket(client.socketUrl(path), {
       message: (data) => {
-        if (typeof data === "string") this.refused(data, handlers);
-        else this.stream.receive(data);
+        this.stream.receive(data);
       },
       state: (state) => handlers.state(state),
       open: () => handlers.open(),
-      lost: () => void client.session(session).catch(handlers.fault),
+      // Without words from the daemon, HTTP may have some: a session that is gone, a token that is needed.
+      lost: (reason) => {
+        if (reason) handlers.fault(new Error(`${session}: ${reason}`));
+        else void client.session(session).catch(handlers.fault);
+      },
     });
   }
 
@@ -45,10 +48,5 @@ export class ReplayChannel {
 
   close(): void {
     this.socket.close();
-  }
-
-  private refused(text: string, handlers: ChannelHandlers): void {
-    const { error } = JSON.parse(text) as { error?: string };
-    if (error) handlers.fault(new Error(error));
   }
 }

@@ -6,6 +6,9 @@ import type { Playback } from "./playback";
 /** Pictures a second asked of the daemon. */
 const FPS = 30;
 
+/** A seek without an answer for so long is not waited for. */
+const SEEK_PATIENCE_MS = 1000;
+
 /** What the player shows its owner. */
 export interface PlayerHandlers {
   mesh: (mesh: DecodedMesh) => void;
@@ -22,6 +25,9 @@ export class Player implements Playback {
   playing = false;
   loop = true;
   private scalars: Scalars = "none";
+  /** When a seek was sent whose picture has not come; null when none is owed. */
+  private soughtMs: number | null = null;
+  private seekAgain = false;
   private readonly channel: ReplayChannel;
 
   constructor(
@@ -82,8 +88,13 @@ export class Player implements Playback {
 
   seek(seconds: number): void {
     this.timeSeconds = Math.max(0, Math.min(this.lengthSeconds, seconds));
-    this.channel.send({ seek_seconds: this.timeSeconds });
     this.handlers.changed();
+    const now = performance.now();
+    // While one seek is owed, later ones replace each other here instead of queueing there.
+    this.seekAgain = this.soughtMs !== null && now - this.soughtMs < SEEK_PATIENCE_MS;
+    if (this.seekAgain) return;
+    this.soughtMs = now;
+    this.channel.send({ seek_seconds: this.timeSeconds });
   }
 
   close(): void {
@@ -91,8 +102,10 @@ export class Player implements Playback {
   }
 
   private show(mesh: DecodedMesh): void {
-    this.timeSeconds = mesh.message.timeSeconds;
     this.handlers.mesh(mesh);
+    this.soughtMs = null;
+    if (this.seekAgain) return this.seek(this.timeSeconds);
+    this.timeSeconds = mesh.message.timeSeconds;
     const ended = this.reverse ? this.timeSeconds <= 1e-3 : this.timeSeconds >= this.lengthSeconds - 1e-3;
     if (this.playing && !this.loop && ended) this.pause();
     this.handlers.changed();

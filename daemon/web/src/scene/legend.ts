@@ -5,12 +5,8 @@ import { tickValues } from "../plot/ticks";
 export class Legend {
   private readonly title = h("span", { class: "legend-title" });
   private readonly numbers = h("div", { class: "legend-numbers" });
-  readonly element = h(
-    "div",
-    { class: "legend", hidden: true },
-    this.title,
-    h("div", { class: "legend-body" }, h("div", { class: "legend-bar" }), this.numbers),
-  );
+  private readonly body = h("div", { class: "legend-body" }, h("div", { class: "legend-bar" }), this.numbers);
+  readonly element = h("div", { class: "legend", hidden: true }, this.title, this.body);
   private shown = "";
 
   hide(): void {
@@ -18,11 +14,20 @@ export class Legend {
     this.shown = "";
   }
 
+  /** Words instead of a scale. */
+  note(text: string): void {
+    if (this.shown === text) return;
+    this.shown = text;
+    this.element.hidden = false;
+    setText(this.title, text);
+    this.body.hidden = true;
+  }
+
   show(title: string, low: number, high: number): void {
     const key = `${title} ${low} ${high}`;
     if (key === this.shown) return;
     this.shown = key;
-    this.element.hidden = false;
+    this.element.hidden = this.body.hidden = false;
     setText(this.title, title);
     const { values, format } = tickValues(low, high, 5);
     this.numbers.replaceChildren(

@@ -237,7 +237,10 @@ class ReplayView implements View {
     if (this.look === "depth") {
       const [low, high] = viewer.surface.depths ?? [0, 1];
       this.legend.show(`${name}, ${unit}`, low, high);
-    } else if (message.scalars) this.legend.show(`${name}, ${unit}`, message.scalarLow, message.scalarHigh);
+    } else if (!message.scalars) {
+      const where = this.look === "motion" ? "Motion is known of the tracked mesh only." : `${name} is not known here.`;
+      this.legend.note(where);
+    } else this.legend.show(`${name}, ${unit}`, message.scalarLow, message.scalarHigh);
   }
 
   private changed(): void {

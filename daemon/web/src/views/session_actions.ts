@@ -49,7 +49,7 @@ export class SessionActions {
       h(
         "ul",
         { class: "menu" },
-        act("Download", `The session file, ${bytes(session.bytes)}.`, () => follow(this.context.client.fileUrl(name))),
+        act("Download", `The session file, ${bytes(session.bytes)}.`, () => this.download(session)),
         act("Verify", "Every checksum, the index, and that every group decodes.", () => void this.verify(name)),
         act("Recover", "Make a clean session of every complete group.", () => void this.recover(name)),
         act("Rename…", "Segments and raw pictures go with it.", () => void this.rename(name)),
@@ -99,6 +99,11 @@ export class SessionActions {
       if (text) request[key] = Number(text);
     }
     await this.job(() => this.context.client.export(session.name, request));
+  }
+
+  /** Every segment is a file of its own. */
+  private download({ name, segments }: SessionSummary): void {
+    for (let segment = 1; segment <= segments; segment += 1) follow(this.context.client.fileUrl(name, segment));
   }
 
   private verify = (name: string) => this.job(() => this.context.client.verify(name));

@@ -48,12 +48,16 @@ export function sessionsView(context: Context): View {
   const load = async () => {
     const sessions = await context.announcer.attempt(() => context.client.sessions());
     if (!sessions) return;
-    sessions.sort((a, b) => b.created.localeCompare(a.created));
+    sessions.sort((a, b) => (b.created ?? "").localeCompare(a.created ?? ""));
     const focused = document.activeElement instanceof HTMLElement ? document.activeElement.dataset["focus"] : undefined;
     body.replaceChildren(...sessions.map((session) => row(context, session, actions)));
     empty.hidden = sessions.length > 0;
     table.hidden = sessions.length === 0;
     const size = sessions.reduce((sum, s) => sum + s.bytes, 0);
+    table.classList.toggle(
+      "without-tolerance",
+      sessions.every((s) => s.tolerance_mm == null),
+    );
     total.textContent = `${count(sessions.length)} sessions, ${bytes(size)}`;
     if (focused) body.querySelector<HTMLElement>(`[data-focus="${CSS.escape(focused)}"]`)?.focus();
   };
@@ -101,6 +105,7 @@ function row({ client }: Context, session: SessionSummary, actions: SessionActio
   picture.addEventListener("error", () => (picture.style.visibility = "hidden"));
   const playable = state !== "recording" && session.scans > 0;
   const parts = segments > 1 ? ` · ${segments} segments` : "";
+  const raw = session.raw_bytes ? ` · ${bytes(session.raw_bytes)} raw` : "";
   const cell = (text: string, label: string) => h("td", { class: "number", "data-label": label }, text);
   return h(
     "tr",
@@ -110,7 +115,7 @@ function row({ client }: Context, session: SessionSummary, actions: SessionActio
       "th",
       { scope: "row" },
       playable ? h("a", { href: routeHash("replay", name), "data-focus": `replay ${name}` }, name) : name,
-      h("span", { class: "sub" }, `${session.mode}${parts}`),
+      h("span", { class: "sub" }, `${session.mode}${parts}${raw}`),
     ),
     cell(clock(session.seconds), "Length"),
     cell(count(session.scans), "Scans"),
@@ -120,9 +125,9 @@ function row({ client }: Context, session: SessionSummary, actions: SessionActio
     h(
       "td",
       { "data-label": "State" },
-      h("span", { class: "badge", "data-state": state, title: STATE_HELP[state] }, STATE_WORDS[state]),
+      h("span", { class: "badge", "data-state": state, title: session.fault ?? STATE_HELP[state] }, STATE_WORDS[state]),
     ),
-    h("td", { "data-label": "Recorded" }, date(session.created)),
+    h("td", { "data-label": "Recorded" }, session.created ? date(session.created) : "–"),
     h("td", { class: "actions" }, ...actions.buttons(session)),
   );
 }
