@@ -19,9 +19,10 @@ for (const theme of ["dark", "light"] as const) {
       await open(page, daemon, hash);
       await page.waitForTimeout(2500);
       if (name === "operate") {
-        const start = page.getByRole("button", { name: "Start scanner" });
-        if (await start.isEnabled().catch(() => false)) await start.click();
-        await page.waitForTimeout(4000);
+        const power = page.getByRole("button", { name: /^(Start|Stop) scanner$/ });
+        if ((await power.innerText()) === "Start scanner") await power.click();
+        await expect(power).toHaveText("Stop scanner", { timeout: 60_000 });
+        await page.waitForTimeout(5000);
       }
       const { violations } = await new AxeBuilder({ page }).analyze();
       const serious = violations.filter((v) => v.impact === "serious" || v.impact === "critical");
