@@ -152,9 +152,9 @@ impl Ctl {
 
 /// One request; the answer's JSON, null for none.
 async fn ask(server: &str, token: Option<&str>, method: Method, path: &str, body: Option<Value>) -> Result<Value> {
-    let stream = tokio::net::TcpStream::connect(server)
-        .await
-        .with_context(|| format!("{server}: no daemon answers; start one with `gv3 serve`, or name it with --server"))?;
+    let stream = tokio::net::TcpStream::connect(server).await.with_context(|| {
+        format!("{server}: no daemon answers; start one with `gv3 serve`, or name it with --server")
+    })?;
     let (mut sender, connection) = hyper::client::conn::http1::handshake(TokioIo::new(stream)).await?;
     // Ends with the sender.
     tokio::spawn(connection);

@@ -2,8 +2,9 @@
 
 use super::Outcome;
 use crate::device::RigConfig;
-use crate::server::{Live, LiveConfig, Notify, ReadConfig, Server, ServerConfig, Token};
-use crate::store::{Retention, SessionDirectory};
+use crate::live::{Live, LiveConfig};
+use crate::server::{Notify, ReadConfig, Server, ServerConfig, Token};
+use crate::store::SessionDirectory;
 use anyhow::{Context, Result};
 use clap::{ArgGroup, Args, ValueEnum};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -33,9 +34,9 @@ pub struct Serve {
     /// Address and port. Any other than this machine's own (127.0.0.1, ::1) needs --token-file.
     #[arg(long, default_value_t = USUAL_ADDRESS)]
     listen: SocketAddr,
-    /// Folder of the sessions.
-    #[arg(long, value_name = "DIR", default_value = "sessions")]
-    sessions: PathBuf,
+    /// Folder of the sessions; otherwise that of the rig file, or `sessions`.
+    #[arg(long, value_name = "DIR")]
+    sessions: Option<PathBuf>,
     /// File with the secret that clients show; only its owner may read it.
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
@@ -71,16 +72,12 @@ impl Serve {
         }
         let notify = Notify::from_environment();
         let token = self.token_file.as_deref().map(Token::read).transpose()?;
-        // Before the devices: two daemons are not to fight over them.
-        let directory = SessionDirectory::open(&self.sessions)?;
         let read_config = self.read_config();
         let config = read_config()?;
-        let server_config = ServerConfig {
-            listen: self.listen,
-            token,
-            hosts: self.hosts.clone(),
-            retention: Retention::default(),
-        };
+        // Before the devices: two daemons are not to fight over them.
+        let directory = SessionDirectory::open(&config.sessions.directory)?;
+        let sessions = directory.path().to_path_buf();
+        let server_config = ServerConfig { listen: self.listen, token, hosts: self.hosts.clone() };
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
             .thread_name("gv3-server")
@@ -90,7 +87,7 @@ impl Serve {
         let outcome = runtime.block_on(async {
             let live = Live::open(config)?;
             let server = Server::bind(server_config, live, directory, read_config, notify).await?;
-            say_where(server.address(), &self.sessions);
+            say_where(server.address(), &sessions);
             let reload = server.reload();
             let mut hangups = signal(SignalKind::hangup()).context("SIGHUP cannot be caught")?;
             tokio::spawn(async move {
@@ -107,13 +104,14 @@ impl Serve {
     }
 
     fn read_config(&self) -> ReadConfig {
-        let path = self.config.clone();
+        let (path, sessions) = (self.config.clone(), self.sessions.clone());
         Arc::new(move || {
-            let rig = match &path {
-                Some(path) => RigConfig::read(path)?,
-                None => RigConfig::simulated(),
+            let mut config = match &path {
+                Some(path) => LiveConfig::read(path)?,
+                None => LiveConfig::of(RigConfig::simulated()),
             };
-            Ok(LiveConfig { rig })
+            config.sessions.directory = sessions.clone().unwrap_or(config.sessions.directory);
+            Ok(config)
         })
     }
 }

@@ -112,11 +112,7 @@ impl Control {
         result
     }
 
-    pub fn start_recording(
-        &mut self,
-        inner: &Inner,
-        request: RecordingRequest,
-    ) -> Result<RecordingStarted, LiveError> {
+    pub fn start_recording(&mut self, inner: &Inner, request: RecordingRequest) -> Result<RecordingStarted, LiveError> {
         if let Some(active) = self.run.as_ref().and_then(|run| run.recording.as_ref()) {
             return Err(LiveError::State(format!("{} is being recorded; stop it first", active.name)));
         }

@@ -407,8 +407,14 @@ mod tests {
 
     fn frames(levels: impl Fn(usize) -> u8) -> Vec<Frame> {
         let picture = GreyPicture::new(100, 100, (0..10_000).map(levels).collect());
-        let frame =
-            Frame { sequence: 0, pattern: PatternIndex(0), device_time_nanos: 0, host_time_nanos: 0, exposure_nanos: 0, picture };
+        let frame = Frame {
+            sequence: 0,
+            pattern: PatternIndex(0),
+            device_time_nanos: 0,
+            host_time_nanos: 0,
+            exposure_nanos: 0,
+            picture,
+        };
         vec![frame]
     }
 

@@ -38,7 +38,13 @@ struct Keys {
 }
 
 impl ReconstructStage {
-    pub fn new(reconstructor: Reconstructor, out: Outlet<Scan>, monitor: Arc<Monitor>, is_live: bool, queue: usize) -> Self {
+    pub fn new(
+        reconstructor: Reconstructor,
+        out: Outlet<Scan>,
+        monitor: Arc<Monitor>,
+        is_live: bool,
+        queue: usize,
+    ) -> Self {
         let degrader = is_live.then(Degrader::new);
         Self { reconstructor, out, monitor, degrader, queue, rebuilt: Rebuilt::default(), recording: None }
     }

@@ -8,9 +8,7 @@ use super::stages::{Pipeline, PipelineSettings};
 use crate::device::{DeviceError, Rig};
 use crate::light::{LightError, RejectedPixels};
 use gv3_codec::{CodecError, EncodedGroup, EncoderConfig, StreamHeader};
-use gv3_protocol::session::{
-    Event, GroupRecord, MetadataGroup, SessionError, SessionFile, SessionWriter, SyncData,
-};
+use gv3_protocol::session::{Event, GroupRecord, MetadataGroup, SessionError, SessionFile, SessionWriter, SyncData};
 use std::io::{Seek, Write};
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -138,7 +138,10 @@ impl Pipeline {
     ///
     /// # Errors
     /// [`RecordError::Stage`] when the stages have ended.
-    pub fn end(&self, cause: Option<RecordError>) -> Result<replies::Receiver<Result<Ended, RecordError>>, RecordError> {
+    pub fn end(
+        &self,
+        cause: Option<RecordError>,
+    ) -> Result<replies::Receiver<Result<Ended, RecordError>>, RecordError> {
         self.end_after(cause, Captured::default())
     }
 

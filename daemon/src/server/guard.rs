@@ -167,7 +167,8 @@ mod tests {
         let guard = loopback();
         let from = |origin| ask(&guard, "/api/v1/status", &[("host", "localhost:8433"), ("origin", origin)]);
         assert_eq!(from("http://localhost:8433"), 200);
-        for bad in ["http://localhost:9", "http://evil.example", "null", "http://localhost:8433.evil.example", "file://"]
+        for bad in
+            ["http://localhost:9", "http://evil.example", "null", "http://localhost:8433.evil.example", "file://"]
         {
             assert_eq!(from(bad), 403, "{bad}");
         }

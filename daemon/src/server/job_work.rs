@@ -181,8 +181,7 @@ fn verify(files: &[PathBuf], progress: &Progress) -> Ended {
                 let mut checker = Checker::new(replay.header());
                 for group in 0..groups {
                     let stored = replay.reader_mut().read_group(group).map_err(words);
-                    let checked =
-                        stored.and_then(|s| checker.check(&s.geometry, s.texture.as_deref()).map_err(words));
+                    let checked = stored.and_then(|s| checker.check(&s.geometry, s.texture.as_deref()).map_err(words));
                     if let Err(reason) = checked {
                         problems.push(format!("group {group}: {reason}"));
                     }

@@ -300,10 +300,7 @@ pub async fn one(axum::extract::State(shared): State, UrlPath(id): UrlPath<Strin
 }
 
 /// DELETE /jobs/{id}: asks a running job to end, forgets one that has ended.
-pub async fn cancel(
-    axum::extract::State(shared): State,
-    UrlPath(id): UrlPath<String>,
-) -> Result<StatusCode, Problem> {
+pub async fn cancel(axum::extract::State(shared): State, UrlPath(id): UrlPath<String>) -> Result<StatusCode, Problem> {
     shared.jobs.with(&id, |table, id| {
         if table[&id].state == JobState::Running {
             table[&id].progress.is_cancelled.store(true, Ordering::Relaxed);

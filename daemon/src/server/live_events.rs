@@ -3,6 +3,7 @@
 use super::problem::Problem;
 use super::shared::{Shared, State};
 use super::socket::{self, End, Receiver, Sender, close};
+use crate::store::event_value;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::response::Response;
 use serde_json::json;
@@ -35,7 +36,7 @@ async fn stream(shared: Arc<Shared>, sender: Sender, mut receiver: Receiver) -> 
                 Err(_) => return End::new(close::GOING_AWAY, "the server stops"),
             },
             event = events.recv() => match event {
-                Ok(event) => json!({ "event": event }).to_string(),
+                Ok(event) => json!({ "event": event_value(&event) }).to_string(),
                 // Counts are in the status; the newest events are what a viewer wants.
                 Err(RecvError::Lagged(_)) => continue,
                 Err(RecvError::Closed) => return End::new(close::GOING_AWAY, "the scanner's engine stops"),

@@ -7,6 +7,7 @@ use super::pace::{Pace, fps_limited};
 use super::problem::Problem;
 use super::shared::{Shared, State};
 use super::socket::{self, End, Receiver, Sender, close};
+use crate::live::LiveScan;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::response::Response;
@@ -14,7 +15,7 @@ use serde::Deserialize;
 use std::sync::Arc;
 
 /// Meshes of the newest scan by their largest number of vertices.
-pub type LiveMeshes = Latest<usize>;
+pub type LiveMeshes = Latest<LiveScan, usize>;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -60,11 +61,10 @@ async fn stream(shared: Arc<Shared>, sender: Sender, mut receiver: Receiver, mut
         }
         let Some(newest) = scans.borrow_and_update().clone() else { continue };
         pace.taken();
-        let code = {
-            let newest = Arc::clone(&newest);
-            move || MeshMessages::new(most, false).encode(&newest.scan, newest.time_nanos as f64 * 1e-9, |_| None)
+        let code = move |newest: &LiveScan| {
+            MeshMessages::new(most, false).encode(&newest.scan, newest.time_nanos as f64 * 1e-9, |_| None)
         };
-        let Some(mut message) = shared.meshes.get(newest.tick, most, code).await.map(Vec::from) else {
+        let Some(mut message) = shared.meshes.get(&newest, most, code).await.map(Vec::from) else {
             return End::new(close::ERROR, "the surface cannot be shown");
         };
         // Of this viewer: the shared form is numbered 1.

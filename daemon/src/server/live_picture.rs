@@ -1,6 +1,5 @@
 //! `/live/picture`: what the camera sees, and what is made of it.
 
-use super::engine::LivePicture;
 use super::input::Query;
 use super::latest::Latest;
 use super::mesh_message::jpeg_bytes;
@@ -8,18 +7,23 @@ use super::pace::{Pace, fps_limited};
 use super::problem::Problem;
 use super::shared::{Shared, State};
 use super::socket::{self, End, Receiver, Sender, close};
+use crate::files::picture::{PictureFormat, picture_bytes};
+use crate::live::LivePicture;
+use crate::pipeline::PhaseMaps;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::response::Response;
 use gv3_codec::GreyPicture;
 use serde::Deserialize;
+use std::f32::consts::PI;
+use std::path::Path;
 use std::sync::Arc;
 
 /// First bytes of a picture message.
 pub const PICTURE_MAGIC: u32 = u32::from_le_bytes(*b"GV3P");
 
 /// Coded pictures of the newest frame set by view.
-pub type LivePictures = Latest<View>;
+pub type LivePictures = Latest<LivePicture, View>;
 
 /// What is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
@@ -38,6 +42,12 @@ pub enum View {
     Mask,
 }
 
+impl View {
+    fn needs_maps(self) -> bool {
+        matches!(self, Self::Modulation | Self::Phase | Self::Mask)
+    }
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Options {
@@ -54,13 +64,12 @@ pub async fn upgrade(
 ) -> Result<Response, Problem> {
     let pace = Pace::new(fps_limited(options.fps)?);
     let stream_shared = Arc::clone(&shared);
-    socket::open(&shared, upgrade?, move |sender, receiver| {
-        stream(stream_shared, sender, receiver, pace, options.view)
-    })
+    socket::open(&shared, upgrade?, move |sender, receiver| stream(stream_shared, sender, receiver, pace, options.view))
 }
 
 async fn stream(shared: Arc<Shared>, sender: Sender, mut receiver: Receiver, mut pace: Pace, view: View) -> End {
     let mut pictures = shared.live.pictures();
+    let _wanted = view.needs_maps().then(|| shared.live.want_maps());
     pictures.mark_changed();
     loop {
         let next = async {
@@ -74,11 +83,8 @@ async fn stream(shared: Arc<Shared>, sender: Sender, mut receiver: Receiver, mut
             },
         }
         let Some(newest) = pictures.borrow_and_update().clone() else { continue };
-        let code = {
-            let newest = Arc::clone(&newest);
-            move || image(&newest, view).unwrap_or_default()
-        };
-        let Some(image) = shared.pictures.get(newest.tick, view, code).await else {
+        let code = move |newest: &LivePicture| image(newest, view).unwrap_or_default();
+        let Some(image) = shared.pictures.get(&newest, view, code).await else {
             return End::new(close::ERROR, "the picture cannot be shown");
         };
         if image.is_empty() {
@@ -104,8 +110,31 @@ fn image(picture: &LivePicture, view: View) -> Option<Vec<u8>> {
     match view {
         View::Camera => mean(&picture.frames).map(|p| jpeg_bytes(&p)),
         View::Fringe => picture.frames.first().map(jpeg_bytes),
-        View::Modulation | View::Phase | View::Mask => None,
+        View::Modulation => picture.maps.as_ref().and_then(|m| map(m, &m.modulation, 0.0, brightest(&m.modulation))),
+        View::Phase => picture.maps.as_ref().and_then(|m| map(m, &m.wrapped_phase_rad, -PI, PI)),
+        View::Mask => picture.maps.as_ref().and_then(|m| {
+            let pixels = m.is_kept.iter().map(|&kept| if kept { 255 } else { 0 }).collect();
+            png(&GreyPicture::new(m.width_px as u32, m.height_px as u32, pixels))
+        }),
     }
+}
+
+/// The value that 99 of 100 pixels do not exceed.
+fn brightest(values: &[f32]) -> f32 {
+    let mut sample: Vec<f32> = values.iter().step_by(7).copied().filter(|v| v.is_finite()).collect();
+    sample.sort_unstable_by(f32::total_cmp);
+    sample.get(sample.len() * 99 / 100).copied().unwrap_or(1.0).max(1.0)
+}
+
+/// Values of the camera's pixels as grey levels from `low` to `high`; black where there is none.
+fn map(maps: &PhaseMaps, values: &[f32], low: f32, high: f32) -> Option<Vec<u8>> {
+    let scale = 255.0 / (high - low);
+    let pixels = values.iter().map(|v| ((v - low) * scale + 0.5) as u8).collect();
+    png(&GreyPicture::new(maps.width_px as u32, maps.height_px as u32, pixels))
+}
+
+fn png(picture: &GreyPicture) -> Option<Vec<u8>> {
+    picture_bytes(picture, PictureFormat::Png, Path::new("live picture")).ok()
 }
 
 /// Mean of pictures of one size.

@@ -83,8 +83,7 @@ impl MeshMessages {
         self.sequence = self.sequence.wrapping_add(1);
         let Some(sent) = &self.sent else { return Vec::new() };
         let scalars = scalars(&sent.decimation.kept);
-        let message =
-            Message { scan, decimation: &sent.decimation, kind, jpeg: &jpeg, scalars: scalars.as_ref() };
+        let message = Message { scan, decimation: &sent.decimation, kind, jpeg: &jpeg, scalars: scalars.as_ref() };
         let bytes = message.bytes(self.sequence, self.topology_id, time_seconds);
         if !self.keeps_topology {
             self.sent = None;

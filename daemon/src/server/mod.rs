@@ -7,7 +7,6 @@ mod byte_range;
 mod connection;
 mod counters;
 mod decimate;
-mod engine;
 mod guard;
 mod input;
 mod job_work;
@@ -38,12 +37,15 @@ mod token;
 mod upkeep;
 mod zip;
 
-pub use engine::{Live, LiveConfig};
+#[cfg(test)]
+mod tests;
+
 pub use notify::Notify;
 pub use shared::ReadConfig;
 pub use token::{Token, TokenError};
 
-use crate::store::{Retention, SessionDirectory};
+use crate::live::Live;
+use crate::store::SessionDirectory;
 use counters::Counters;
 use guard::Guard;
 use jobs::Jobs;
@@ -63,8 +65,6 @@ pub struct ServerConfig {
     pub token: Option<Token>,
     /// Host names besides this machine's own under which it is reached.
     pub hosts: Vec<String>,
-    /// How long sessions are kept.
-    pub retention: Retention,
 }
 
 /// Why the server does not start, or how it ended.
@@ -99,7 +99,6 @@ pub struct Server {
     shared: Arc<Shared>,
     status: watch::Sender<Arc<str>>,
     stop: watch::Sender<bool>,
-    retention: Retention,
     notify: Arc<Notify>,
     reload: Arc<Wakeup>,
 }
@@ -116,7 +115,7 @@ impl Server {
         read_config: ReadConfig,
         notify: Notify,
     ) -> Result<Self, ServerError> {
-        let ServerConfig { listen, token, hosts, retention } = config;
+        let ServerConfig { listen, token, hosts } = config;
         if !listen.ip().is_loopback() && token.is_none() {
             return Err(ServerError::NoToken(listen));
         }
@@ -136,12 +135,13 @@ impl Server {
             sockets: Arc::new(Semaphore::new(MAX_SOCKETS)),
             replays: Arc::new(Semaphore::new(MAX_REPLAYS)),
             meshes: Default::default(),
+            thumbnails: Default::default(),
             pictures: Default::default(),
             status_text,
             stopping,
         };
         let (notify, reload) = (Arc::new(notify), Arc::new(Wakeup::new()));
-        Ok(Self { listener, address, shared: Arc::new(shared), status, stop, retention, notify, reload })
+        Ok(Self { listener, address, shared: Arc::new(shared), status, stop, notify, reload })
     }
 
     /// Where it listens.
@@ -159,13 +159,13 @@ impl Server {
     /// # Errors
     /// [`ServerError::Engine`] when the recording could not be finished and verified.
     pub async fn run(self, stop: impl Future<Output = ()>) -> Result<(), ServerError> {
-        let Self { listener, shared, status, stop: stopping, retention, notify, reload, .. } = self;
+        let Self { listener, shared, status, stop: stopping, notify, reload, .. } = self;
         let app = routes::app(&shared);
         let serving = tokio::spawn(connection::serve(listener, app, Arc::clone(&shared), shared.stopping.clone()));
         let upkeep = [
             tokio::spawn(upkeep::pulse(Arc::clone(&shared), status, Arc::clone(&notify))),
             tokio::spawn(upkeep::repair(Arc::clone(&shared))),
-            tokio::spawn(upkeep::retain(Arc::clone(&shared), retention)),
+            tokio::spawn(upkeep::retain(Arc::clone(&shared))),
             tokio::spawn(upkeep::reload(Arc::clone(&shared), reload, Arc::clone(&notify))),
         ];
         notify.ready("ready");

@@ -98,8 +98,9 @@ fn collect(files: &[(String, &'static [u8])]) -> BTreeMap<String, Page> {
     let mut pages = BTreeMap::new();
     for (name, bytes) in files.iter().filter(|(n, _)| !n.rsplit('/').next().is_some_and(|l| l.starts_with('.'))) {
         let page = match name.strip_suffix(".gz") {
-            Some(plain_name) if find(plain_name).is_none() => unpack(bytes)
-                .map(|plain| (plain_name, Page::new(plain_name, plain, Some(Bytes::from_static(bytes))))),
+            Some(plain_name) if find(plain_name).is_none() => {
+                unpack(bytes).map(|plain| (plain_name, Page::new(plain_name, plain, Some(Bytes::from_static(bytes)))))
+            }
             Some(_) => None,
             None => {
                 let stored = find(&format!("{name}.gz")).map(Bytes::from_static);

@@ -32,9 +32,8 @@ pub async fn one(axum::extract::State(shared): State, Name(name): Name) -> Resul
 fn found(folder: &Path) -> Vec<Value> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
     let files = entries.filter(|e| e.metadata().is_ok_and(|m| m.is_file()));
-    let mut names: Vec<SessionName> = files
-        .filter_map(|e| SessionName::new(e.file_name().to_str()?.strip_suffix(".json")?).ok())
-        .collect();
+    let mut names: Vec<SessionName> =
+        files.filter_map(|e| SessionName::new(e.file_name().to_str()?.strip_suffix(".json")?).ok()).collect();
     names.sort();
     let kinds = names.iter().filter_map(|name| Some((name, kind(&read(folder, name).ok()?)?)));
     kinds.map(|(name, kind)| json!({ "name": name, "kind": kind })).collect()

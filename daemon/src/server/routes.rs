@@ -3,7 +3,9 @@
 use super::guard::Peer;
 use super::problem::Problem;
 use super::shared::{Shared, State};
-use super::{jobs, live_events, live_groups, live_mesh, live_picture, metrics, pages, replay, reports, scanner, sessions};
+use super::{
+    jobs, live_events, live_groups, live_mesh, live_picture, metrics, pages, replay, reports, scanner, sessions,
+};
 use axum::Router;
 use axum::extract::Request;
 use axum::http::{HeaderValue, StatusCode, header};

@@ -1,10 +1,10 @@
 //! The scanner, its recordings and its configuration.
 
-use super::engine::{LiveError, LiveStatus, RecordingRequest};
 use super::input::Input;
 use super::problem::Problem;
 use super::shared::{Shared, State};
 use crate::device::plugged::Plugged;
+use crate::live::{LiveError, LiveStatus, RecordingRequest};
 use crate::store::SessionName;
 use axum::Json;
 use axum::http::{StatusCode, header};
@@ -24,28 +24,31 @@ pub struct Login {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Recording {
-    name: Option<String>,
-    #[serde(default)]
-    raw: bool,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Mark {
     text: String,
 }
 
 impl From<LiveError> for Problem {
     fn from(error: LiveError) -> Self {
-        Self::conflict(error.to_string())
+        let status = match &error {
+            LiveError::Name(_) => StatusCode::BAD_REQUEST,
+            LiveError::State(_) | LiveError::Timeout(_) => StatusCode::CONFLICT,
+            LiveError::Space { .. } => StatusCode::INSUFFICIENT_STORAGE,
+            LiveError::Device(_) | LiveError::Record(_) | LiveError::Disk { .. } => StatusCode::SERVICE_UNAVAILABLE,
+        };
+        Self::new(status, error.to_string())
     }
 }
 
 /// POST /login: the token as a cookie.
-pub async fn login(axum::extract::State(shared): State, Input(login): Input<Login>) -> Result<impl IntoResponse, Problem> {
+pub async fn login(
+    axum::extract::State(shared): State,
+    Input(login): Input<Login>,
+) -> Result<impl IntoResponse, Problem> {
     match shared.guard.token() {
-        Some(token) if token.is(&login.token) => Ok((StatusCode::NO_CONTENT, [(header::SET_COOKIE, token.cookie())]).into_response()),
+        Some(token) if token.is(&login.token) => {
+            Ok((StatusCode::NO_CONTENT, [(header::SET_COOKIE, token.cookie())]).into_response())
+        }
         Some(_) => Err(Problem::new(StatusCode::UNAUTHORIZED, "that is not the token")),
         None => Ok(StatusCode::NO_CONTENT.into_response()),
     }
@@ -71,10 +74,9 @@ pub async fn stop(axum::extract::State(shared): State) -> Result<StatusCode, Pro
 /// POST /recording/start.
 pub async fn start_recording(
     axum::extract::State(shared): State,
-    Input(recording): Input<Recording>,
+    Input(request): Input<RecordingRequest>,
 ) -> Result<impl IntoResponse, Problem> {
-    let name = recording.name.as_deref().map(SessionName::new).transpose()?;
-    let request = RecordingRequest { name: name.map(|n| n.to_string()), raw: recording.raw };
+    request.name.as_deref().map(SessionName::new).transpose()?;
     let started = shared.blocking(|s| Ok(s.live.start_recording(request)?)).await?;
     Ok((StatusCode::CREATED, Json(started)))
 }
@@ -106,8 +108,14 @@ pub async fn reload(axum::extract::State(shared): State) -> Result<StatusCode, P
 pub async fn reload_now(shared: &Arc<Shared>) -> Result<(), Problem> {
     shared
         .blocking(|s| {
-            let config = (s.read_config)()
-                .map_err(|e| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, format!("not reloaded: {e:#}")))?;
+            let wrong =
+                |reason: String| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, format!("not reloaded: {reason}"));
+            let config = (s.read_config)().map_err(|e| wrong(format!("{e:#}")))?;
+            let directory = std::fs::canonicalize(&config.sessions.directory);
+            if !directory.is_ok_and(|d| d == s.directory.path()) {
+                return Err(wrong("sessions.directory is another one; restart the daemon for that".into()));
+            }
+            config.check().map_err(|e| wrong(e.to_string()))?;
             Ok(s.live.reload(config)?)
         })
         .await

@@ -4,8 +4,7 @@ use super::byte_range;
 use super::input::{Input, Name, Query};
 use super::problem::Problem;
 use super::shared::{Shared, State};
-use super::thumbnail;
-use crate::store::{self, SessionDetail, SessionName, SessionSummary};
+use crate::store::{self, SessionDetail, SessionName, SessionSummary, StoreError};
 use axum::Json;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -43,9 +42,7 @@ fn first() -> usize {
 
 /// GET /sessions.
 pub async fn list(axum::extract::State(shared): State) -> Result<Json<Sessions>, Problem> {
-    let list = |s: &Shared| {
-        Ok(Sessions { sessions: s.directory.list(s.recording().as_ref())? })
-    };
+    let list = |s: &Shared| Ok(Sessions { sessions: s.directory.list(s.recording().as_ref())? });
     Ok(Json(shared.blocking(list).await?))
 }
 
@@ -53,8 +50,9 @@ pub async fn list(axum::extract::State(shared): State) -> Result<Json<Sessions>,
 pub async fn one(axum::extract::State(shared): State, Name(name): Name) -> Result<Json<Session>, Problem> {
     let read = move |s: &Shared| {
         let summary = s.directory.summary(&name, s.recording().as_ref())?;
-        let detail = match store::detail(&s.directory.files(&name)?) {
+        let detail = match s.directory.files(&name).and_then(|files| store::detail(&files)) {
             Ok(detail) => detail,
+            Err(StoreError::RawOnly(_)) => SessionDetail::default(),
             // What cannot be read is still listed, with the reason.
             Err(_) if summary.fault.is_some() => SessionDetail::default(),
             Err(error) => return Err(error.into()),
@@ -110,7 +108,7 @@ pub async fn file(
 
 /// GET /sessions/{name}/thumbnail.png.
 pub async fn thumbnail(axum::extract::State(shared): State, Name(name): Name) -> Result<Response, Problem> {
-    let drawn = move |s: &Shared| thumbnail::draw(&s.directory.files(&name)?);
-    let png = shared.blocking(drawn).await?;
+    let files = shared.blocking(move |s| Ok(s.directory.files(&name)?)).await?;
+    let png = shared.thumbnails.get(files).await?;
     Ok(([(header::CONTENT_TYPE, "image/png")], png).into_response())
 }

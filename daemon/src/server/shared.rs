@@ -1,12 +1,13 @@
 //! What all requests share.
 
 use super::counters::Counters;
-use super::engine::{Live, LiveConfig};
 use super::guard::Guard;
 use super::jobs::Jobs;
 use super::live_mesh::LiveMeshes;
 use super::live_picture::LivePictures;
 use super::problem::Problem;
+use super::thumbnail::Thumbnails;
+use crate::live::{Live, LiveConfig};
 use crate::store::{SessionDirectory, SessionName};
 use std::sync::Arc;
 use std::time::Duration;
@@ -42,6 +43,8 @@ pub struct Shared {
     pub replays: Arc<Semaphore>,
     /// Live surfaces coded for viewers.
     pub meshes: LiveMeshes,
+    /// Pictures of sessions.
+    pub thumbnails: Thumbnails,
     /// Live pictures coded for viewers.
     pub pictures: LivePictures,
     /// Newest status as JSON, twice a second.

@@ -87,7 +87,8 @@ impl Token {
             let _ = write!(text, "{byte:02x}");
         }
         text.push('\n');
-        let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path).map_err(fail("create"))?;
+        let mut file =
+            OpenOptions::new().write(true).create_new(true).mode(0o600).open(path).map_err(fail("create"))?;
         file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(fail("write"))
     }
 

@@ -16,16 +16,35 @@ const STATUS_PERIOD: Duration = Duration::from_secs(5);
 /// From one look at ages and sizes to the next.
 const RETAIN_PERIOD: Duration = Duration::from_secs(60);
 
-/// Publishes the status, and feeds the watchdog only when the engine has answered: a server whose engine hangs, or whose
-/// own threads do, falls silent and is started anew.
+/// What the engine had done when the watchdog was fed last.
+#[derive(Debug, Default)]
+struct Progress {
+    sets: u64,
+    scans: u64,
+}
+
+impl Progress {
+    /// Whether the engine got on: frame sets that come must become scans. A stage that hangs holds up all before it until
+    /// sets come and no scan does; a camera that is silent is no hang, the engine gives it up by itself.
+    fn moves(&mut self, sets: u64, scans: u64) -> bool {
+        let moves = sets == self.sets || scans != self.scans;
+        if moves {
+            *self = Self { sets, scans };
+        }
+        moves
+    }
+}
+
+/// Publishes the status, and feeds the watchdog only when the engine has answered and gets on: a server whose engine hangs,
+/// or whose own threads do, falls silent and is started anew.
 pub async fn pulse(shared: Arc<Shared>, status: watch::Sender<Arc<str>>, notify: Arc<Notify>) {
     let mut ticks = interval(PULSE);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut fed = Instant::now();
+    let (mut fed, mut progress) = (Instant::now(), Progress::default());
     let mut told = (Instant::now(), String::new());
     loop {
         ticks.tick().await;
-        let Ok(newest) = shared.blocking(|s| Ok(s.live.status())).await else { continue };
+        let Ok((newest, counts)) = shared.blocking(|s| Ok((s.live.status(), s.live.metrics()))).await else { continue };
         match serde_json::to_string(&newest) {
             Ok(text) => status.send_replace(Arc::from(text)),
             Err(error) => {
@@ -33,13 +52,14 @@ pub async fn pulse(shared: Arc<Shared>, status: watch::Sender<Arc<str>>, notify:
                 continue;
             }
         };
-        if notify.watchdog().is_some_and(|period| fed.elapsed() >= period / 4) {
+        let is_due = notify.watchdog().is_some_and(|period| fed.elapsed() >= period / 4);
+        if is_due && progress.moves(counts.sets, counts.scans) {
             notify.alive();
             fed = Instant::now();
         }
         let line = match &newest.recording {
             Some(recording) => format!("recording {}, {} scans", recording.session, recording.scans),
-            None => newest.state.to_string(),
+            None => newest.state.name().to_owned(),
         };
         if line != told.1 && told.0.elapsed() >= STATUS_PERIOD {
             notify.status(&line);
@@ -69,15 +89,19 @@ pub async fn repair(shared: Arc<Shared>) {
 }
 
 /// Deletes what is too old or too much, every minute.
-pub async fn retain(shared: Arc<Shared>, retention: Retention) {
-    if retention == Retention::default() {
-        return;
-    }
+pub async fn retain(shared: Arc<Shared>) {
     let mut ticks = interval(RETAIN_PERIOD);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         ticks.tick().await;
-        let work = move |s: &Shared| Ok(expire(&s.directory, &retention, SystemTime::now(), s.recording().as_ref())?);
+        let work = |s: &Shared| {
+            let sessions = s.live.config().sessions;
+            let retention = Retention { keep_days: sessions.keep_days, keep_bytes: sessions.keep_bytes };
+            match retention == Retention::default() {
+                true => Ok(Vec::new()),
+                false => Ok(expire(&s.directory, &retention, SystemTime::now(), s.recording().as_ref())?),
+            }
+        };
         match shared.blocking(work).await {
             Ok(gone) => gone.iter().for_each(|s| tracing::info!(session = %s.name, bytes = s.bytes, "session expired")),
             Err(problem) => tracing::warn!(detail = problem.detail, "sessions could not be expired"),
@@ -100,5 +124,20 @@ pub async fn reload(shared: Arc<Shared>, asked: Arc<Wakeup>, notify: Arc<Notify>
                 notify.ready("configuration not reloaded, the old one stays");
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sets_without_scans_are_a_hang_and_silence_is_none() {
+        let mut progress = Progress::default();
+        assert!(progress.moves(0, 0), "idle");
+        assert!(progress.moves(30, 29) && progress.moves(60, 59), "previewing");
+        assert!(progress.moves(60, 59), "the camera is silent");
+        assert!(!progress.moves(61, 59) && !progress.moves(90, 59), "hung");
+        assert!(progress.moves(91, 60), "on again");
     }
 }

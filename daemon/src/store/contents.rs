@@ -3,7 +3,7 @@
 use super::StoreError;
 use crate::replay::ReplayError;
 use gv3_codec::{StreamHeader, decode_stamps};
-use gv3_protocol::session::{Event, EventKind, SessionReader, SessionState, key};
+use gv3_protocol::session::{EventKind, SessionReader, SessionState, key};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -131,7 +131,7 @@ pub fn detail(segments: &[PathBuf]) -> Result<SessionDetail, StoreError> {
             if let EventKind::Drop { cause, count } = &event.kind {
                 *detail.drops.entry(cause.clone()).or_default() += count;
             }
-            detail.events.push(as_value(&event));
+            detail.events.push(event_value(&event));
         }
     }
     let ends = detail.groups.first().zip(detail.groups.last());
@@ -178,8 +178,11 @@ fn group_figures(path: &Path, reader: &mut SessionReader<File>) -> Result<Vec<Gr
         let end = streams.get(at + 1).map_or(reader.groups().len(), |next| next.first_group);
         for group in stream.first_group..end {
             let stored = reader.read_group(group)?;
-            let stamps = decode_stamps(&header, &stored.geometry)
-                .map_err(|source| ReplayError::Payload { path: path.into(), group, source })?;
+            let stamps = decode_stamps(&header, &stored.geometry).map_err(|source| ReplayError::Payload {
+                path: path.into(),
+                group,
+                source,
+            })?;
             let (entry, ticks) = (stored.entry, stamps.iter().map(|s| s.tick).collect::<Vec<_>>());
             let bytes = entry.geometry_bytes + entry.texture_bytes;
             figures.push(GroupFigures { key_tick: entry.key_tick, bytes, scans: ticks.len() as u64, ticks });
@@ -188,8 +191,8 @@ fn group_figures(path: &Path, reader: &mut SessionReader<File>) -> Result<Vec<Gr
     Ok(figures)
 }
 
-/// The event as the interface shows it: its kind under `kind`.
-fn as_value(event: &Event) -> Value {
+/// An event as the interface shows it: its kind under `kind`.
+pub fn event_value(event: &impl Serialize) -> Value {
     let mut fields = match serde_json::to_value(event) {
         Ok(Value::Object(fields)) => fields,
         _ => Map::new(),
@@ -199,4 +202,3 @@ fn as_value(event: &Event) -> Value {
     }
     Value::Object(fields)
 }
-

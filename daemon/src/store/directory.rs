@@ -47,7 +47,7 @@ pub struct SessionSummary {
     pub created: Option<String>,
     /// How it stands.
     pub state: State,
-    /// Coding mode; empty when no segment can be read.
+    /// Coding mode; `raw` for pictures alone, empty when no segment can be read.
     pub mode: String,
     /// Files.
     pub segments: u32,
@@ -141,9 +141,10 @@ impl SessionDirectory {
     /// Files of a session, in time order; at least one.
     ///
     /// # Errors
-    /// [`StoreError::NotFound`].
+    /// [`StoreError::NotFound`], [`StoreError::RawOnly`].
     pub fn files(&self, name: &SessionName) -> Result<Vec<PathBuf>, StoreError> {
-        Ok(self.segments_of(name)?.into_iter().map(|s| s.path).collect())
+        let files: Vec<PathBuf> = self.segments_of(name)?.into_iter().map(|s| s.path).collect();
+        if files.is_empty() { Err(StoreError::RawOnly(name.to_string())) } else { Ok(files) }
     }
 
     /// Gives a session another name, all its files or none.
@@ -200,11 +201,7 @@ impl SessionDirectory {
         Ok(freed)
     }
 
-    fn not_recording(
-        &self,
-        name: &SessionName,
-        recording: Option<&SessionName>,
-    ) -> Result<Vec<Segment>, StoreError> {
+    fn not_recording(&self, name: &SessionName, recording: Option<&SessionName>) -> Result<Vec<Segment>, StoreError> {
         if recording == Some(name) {
             return Err(StoreError::Recording(name.to_string()));
         }
@@ -216,14 +213,22 @@ impl SessionDirectory {
         File::open(&self.path).and_then(|d| d.sync_all()).map_err(StoreError::io(&self.path, "sync"))
     }
 
-    /// Regular files that are sessions, by name, in the order of their numbers.
+    /// Regular files that are sessions, by name, in the order of their numbers; none for raw pictures alone.
     pub(super) fn segments(&self) -> Result<BTreeMap<SessionName, Vec<Segment>>, StoreError> {
         let mut all: BTreeMap<SessionName, Vec<Segment>> = BTreeMap::new();
         let entries = fs::read_dir(&self.path).map_err(StoreError::io(&self.path, "read"))?;
         for entry in entries.filter_map(Result::ok) {
-            let Some((name, number)) = entry.file_name().to_str().and_then(SessionName::of_file) else { continue };
             // Of the entry itself: a link is not followed.
             let Ok(metadata) = entry.metadata() else { continue };
+            let file_name = entry.file_name();
+            let file_name = file_name.to_str().unwrap_or_default();
+            if let Some(name) = file_name.strip_suffix(".raw").filter(|_| metadata.is_dir()) {
+                // Raw pictures without a session are listed too: they weigh most.
+                if let Ok(name) = SessionName::new(name) {
+                    all.entry(name).or_default();
+                }
+            }
+            let Some((name, number)) = SessionName::of_file(file_name) else { continue };
             if metadata.is_file() {
                 let (bytes, modified) = (metadata.len(), metadata.modified().ok());
                 all.entry(name).or_default().push(Segment { number, path: entry.path(), bytes, modified });
@@ -267,13 +272,13 @@ impl SessionDirectory {
             ratio: None,
             created: None,
             state: State::Complete,
-            mode: String::new(),
+            mode: if segments.is_empty() { "raw".into() } else { String::new() },
             segments: segments.len() as u32,
             raw_bytes,
             fault: None,
         };
         // The growing last segment of a recording would be read anew at every call; the engine has its figures.
-        let read = if is_recording { &segments[..segments.len() - 1] } else { segments };
+        let read = if is_recording { &segments[..segments.len().saturating_sub(1)] } else { segments };
         self.add_contents(&mut summary, read);
         if is_recording {
             (summary.state, summary.fault) = (State::Recording, None);

@@ -11,7 +11,7 @@ mod repair;
 mod retention;
 mod time_text;
 
-pub use contents::{Curve, FileContents, GroupFigures, SessionDetail, curve, detail};
+pub use contents::{Curve, FileContents, GroupFigures, SessionDetail, curve, detail, event_value};
 pub use directory::{SessionDirectory, SessionSummary, State};
 pub use name::SessionName;
 pub use player::SessionPlayer;
@@ -37,6 +37,9 @@ pub enum StoreError {
     /// There is no such session.
     #[error("there is no session {0:?}")]
     NotFound(String),
+    /// There are raw pictures of that name and no session.
+    #[error("{0:?} has raw pictures alone; `gv3 capture OUT.gv3 --from-raw` makes a session of them")]
+    RawOnly(String),
     /// A session of that name is there already.
     #[error("there is a session {0:?} already; choose another name")]
     Exists(String),

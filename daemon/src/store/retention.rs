@@ -52,7 +52,9 @@ fn aged(directory: &SessionDirectory, recording: Option<&SessionName>) -> Result
     let mut all = Vec::new();
     for summary in directory.list(recording)? {
         let segments = directory.segments()?.remove(&summary.name).unwrap_or_default();
-        let modified = segments.iter().map(|s: &Segment| s.modified).max().flatten();
+        let raw = directory.path().join(summary.name.raw_folder());
+        let raw_modified = std::fs::symlink_metadata(raw).and_then(|m| m.modified()).ok();
+        let modified = segments.iter().map(|s: &Segment| s.modified).max().flatten().or(raw_modified);
         if let Some(modified) = modified.filter(|_| recording != Some(&summary.name)) {
             let bytes = summary.bytes + summary.raw_bytes.unwrap_or(0);
             all.push(Aged { name: summary.name, modified, bytes });

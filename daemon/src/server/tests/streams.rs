@@ -1,0 +1,144 @@
+//! Live streams and replay, and what idle and slow clients do to a recording: nothing.
+
+use super::harness::{PATIENCE, Running};
+use crate::server::mesh_message::{HEADER_BYTES, MESH_MAGIC};
+use futures_util::{SinkExt, StreamExt};
+use gv3_codec::StreamHeader;
+use serde_json::Value;
+use std::time::Duration;
+use tokio::net::TcpStream;
+use tokio_tungstenite::WebSocketStream;
+use tokio_tungstenite::tungstenite::Message;
+
+type Socket = WebSocketStream<TcpStream>;
+
+async fn next(socket: &mut Socket) -> Message {
+    loop {
+        let message = tokio::time::timeout(PATIENCE, socket.next()).await.expect("a message");
+        match message.expect("an open socket").expect("a whole message") {
+            Message::Ping(_) | Message::Pong(_) => {}
+            message => return message,
+        }
+    }
+}
+
+async fn bytes(socket: &mut Socket) -> Vec<u8> {
+    match next(socket).await {
+        Message::Binary(bytes) => bytes.to_vec(),
+        other => panic!("{other:?}"),
+    }
+}
+
+async fn say(socket: &mut Socket, text: &str) {
+    socket.send(Message::text(text)).await.unwrap();
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap())
+}
+
+/// Kind, sequence, topology, time and vertices of a mesh message, its length checked.
+fn mesh(bytes: &[u8]) -> (u8, u32, u32, f64, u32) {
+    assert_eq!(u32_at(bytes, 0), MESH_MAGIC);
+    let (kind, flags, n, triangles) = (bytes[5], bytes[6], u32_at(bytes, 24) as usize, u32_at(bytes, 28) as usize);
+    let uv = if flags & 2 == 0 { 0 } else { 4 * n };
+    let scalars = if flags & 4 == 0 { 0 } else { n.next_multiple_of(4) };
+    let length =
+        HEADER_BYTES + (6 * n).next_multiple_of(4) + uv + scalars + 12 * triangles + u32_at(bytes, 56) as usize;
+    assert_eq!(bytes.len(), length);
+    (kind, u32_at(bytes, 8), u32_at(bytes, 12), f64::from_le_bytes(bytes[16..24].try_into().unwrap()), n as u32)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_newest_is_streamed_to_those_who_look() {
+    let server = Running::start().await;
+    let mut events = server.socket("/live/events").await;
+    let Message::Text(text) = next(&mut events).await else { panic!("no text") };
+    let status: Value = serde_json::from_str(&text).unwrap();
+    assert!(status["status"].is_object() || status["status"].is_null());
+    let mut meshes = server.socket("/live/mesh?fps=60&max_vertices=1000").await;
+    let mut groups = server.socket("/live/groups").await;
+    let mut views = Vec::new();
+    for view in ["camera", "fringe", "modulation", "phase", "mask"] {
+        views.push(server.socket(&format!("/live/picture?view={view}&fps=30")).await);
+    }
+    assert_eq!(server.post("/api/v1/recording/start", "{}").await.status, 201);
+    let (first, second) = (mesh(&bytes(&mut meshes).await), mesh(&bytes(&mut meshes).await));
+    assert!((1..=1000).contains(&first.4), "{first:?}");
+    assert!(second.1 == first.1 + 1 && second.3 > first.3, "{first:?} {second:?}");
+    for (view, socket) in views.iter_mut().enumerate() {
+        let picture = bytes(socket).await;
+        assert_eq!((&picture[..5], picture[5] as usize), (&b"GV3P\x01"[..], view));
+        let image = if view < 2 { &b"\xff\xd8"[..] } else { &b"\x89P"[..] };
+        assert_eq!(&picture[24..26], image);
+    }
+    let header = bytes(&mut groups).await;
+    assert_eq!(&header[..6], b"GV3G\x01\x00");
+    StreamHeader::decode(&header[32..]).unwrap();
+    assert_eq!(&bytes(&mut groups).await[..6], b"GV3G\x01\x01");
+    let mut late = server.socket("/live/groups").await;
+    assert_eq!(bytes(&mut late).await, header);
+    server.stop().await.1.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn replay_shows_any_moment_forwards_and_backwards_and_waits_for_acks() {
+    let server = Running::start().await;
+    server.record("face", 32).await;
+    let mut socket = server.socket("/sessions/face/replay?as=mesh").await;
+    let first = mesh(&bytes(&mut socket).await);
+    assert_eq!((first.0, first.1, first.3), (0, 1, 0.0));
+    say(&mut socket, r#"{"ack":1,"seek_seconds":0.55}"#).await;
+    let second = mesh(&bytes(&mut socket).await);
+    assert_eq!((second.1, second.3), (2, 0.55));
+    say(&mut socket, r#"{"ack":2,"play":-1,"fps":100,"scalars":"motion"}"#).await;
+    let mut last = second;
+    for _ in 0..2 {
+        let next = mesh(&bytes(&mut socket).await);
+        assert!(next.3 <= last.3, "{last:?} {next:?}");
+        last = next;
+    }
+    say(&mut socket, r#"{"play":1,"loop":true,"scalars":"depth"}"#).await;
+    // At most four are on their way: 2 is the last acknowledged.
+    while last.1 < 6 {
+        last = mesh(&bytes(&mut socket).await);
+    }
+    let more = tokio::time::timeout(Duration::from_millis(300), socket.next()).await;
+    assert!(more.is_err(), "a fifth message without an ack");
+    say(&mut socket, r#"{"ack":6,"play":0,"seek_seconds":1e300}"#).await;
+    let end = mesh(&bytes(&mut socket).await);
+    assert!(end.3 < 100.0 && end.1 == 7, "{end:?}");
+    let mut scans = server.socket("/sessions/face/replay?as=scan&max_vertices=600").await;
+    let one = mesh(&bytes(&mut scans).await);
+    assert!(one.4 <= 600 && one.0 == 0);
+    say(&mut scans, "{\"fly\":1}").await;
+    assert!(matches!(next(&mut scans).await, Message::Close(Some(frame)) if u16::from(frame.code) == 1008));
+    server.stop().await.1.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn slow_and_idle_clients_do_not_stop_a_recording() {
+    let server = Running::start().await;
+    // Slow ones never read; their sockets' buffers fill, and the newest replaces what they miss.
+    let mut slow = Vec::new();
+    for i in 0..15 {
+        let path = ["/live/mesh?fps=60&max_vertices=20000", "/live/picture?fps=60", "/live/groups"][i % 3];
+        slow.push(server.socket(path).await);
+    }
+    let mut idle = Vec::new();
+    for i in 0..60 {
+        idle.push(server.socket("/live/events").await);
+        if i % 2 == 0 {
+            slow.push(idle.pop().unwrap());
+        }
+    }
+    let mut silent = Vec::new();
+    for _ in 0..60 {
+        silent.push(TcpStream::connect(server.address).await.unwrap());
+    }
+    let stopped = server.record("kept", 45).await;
+    assert_eq!(stopped["verified"], true);
+    assert!(stopped["scans"].as_u64().unwrap() >= 45);
+    assert_eq!(server.get("/healthz").await.status, 200);
+    server.stop().await.1.unwrap();
+}
