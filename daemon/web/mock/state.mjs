@@ -76,7 +76,7 @@ export class MockState {
         free_bytes: this.free,
         total_bytes: 1e12,
         floor_bytes: FLOOR_BYTES,
-        seconds_left: Math.max(0, (this.free - FLOOR_BYTES) / 45_000),
+        seconds_left: this.recording ? Math.max(0, (this.free - FLOOR_BYTES) / 45_000) : null,
       },
       uptime_seconds: (Date.now() - this.began) / 1000,
       version: "0.1.0",

@@ -23,7 +23,7 @@ export class Gauges {
     { class: "gauges", "aria-label": "Figures" },
     tile("Scans a second", this.scans, this.pictures, this.rateLine.element),
     tile("Latency, picture to surface", this.latency, this.tail, this.latencyLine.element),
-    tile("Recording time left", this.disk, this.room),
+    tile("Disk left", this.disk, this.room),
     tile("Dropped", this.dropped, this.causes),
   );
 
@@ -32,18 +32,19 @@ export class Gauges {
     const { p50, p99 } = status.latency_ms;
     setText(this.scans, running ? status.scans_per_second.toFixed(1) : "–");
     setText(this.pictures, running ? `${decimal(status.pictures_per_second)} pictures/s` : "");
-    setText(this.latency, running && p50 !== null ? `${count(p50)} ms` : "–");
-    setText(this.tail, running && p99 !== null ? `99 % within ${count(p99)} ms` : "");
+    setText(this.latency, running && p50 ? `${count(p50)} ms` : "–");
+    setText(this.tail, running && p99 ? `99 % within ${count(p99)} ms` : "");
     this.rateLine.add(running ? status.scans_per_second : null);
-    this.latencyLine.add(running ? p50 : null);
+    this.latencyLine.add(running && p50 ? p50 : null);
     this.showDisk(status);
     this.showDrops(status);
   }
 
   private showDisk({ disk }: Status): void {
     const left = disk.seconds_left;
-    setText(this.disk, left === null ? "–" : duration(left));
-    const room = `${bytes(disk.free_bytes)} of ${bytes(disk.total_bytes)} free`;
+    setText(this.disk, left === null ? bytes(disk.free_bytes) : duration(left));
+    const room =
+      left === null ? `of ${bytes(disk.total_bytes)}` : `${bytes(disk.free_bytes)} of ${bytes(disk.total_bytes)}`;
     const full = disk.free_bytes <= disk.floor_bytes;
     const advice = " Delete sessions or move them away.";
     setText(this.room, full ? `${room}: below the floor of ${bytes(disk.floor_bytes)}.${advice}` : room);
