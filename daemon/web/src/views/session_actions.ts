@@ -9,8 +9,7 @@ import { checkName } from "../ui/session_name";
 
 const FORMATS = [
   ["obj", "OBJ, BMP and MTL (MeshLab, Blender)"],
-  ["ply", "PLY"],
-  ["gltf", "glTF"],
+  ["ply", "PLY and PNG"],
 ] as const;
 
 /** What can be done with a session: buttons, and the dialogs behind them. */
