@@ -15,8 +15,8 @@ export default defineConfig({
   outputDir: "results",
   // One at a time: a daemon, a simulated scanner and a browser share the machine.
   workers: 1,
-  timeout: 120_000,
-  expect: { timeout: 20_000 },
+  timeout: 240_000,
+  expect: { timeout: 60_000 },
   reporter: [["list"]],
   use,
   projects: [

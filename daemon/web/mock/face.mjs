@@ -1,6 +1,7 @@
 import { greyPng } from "./png.mjs";
 
-/** A made-up face that talks: a grid over an ellipse, x right, y down, z away from the camera, millimetres. */
+/** A made-up face that talks: a grid over an ellipse, x right, y up, z towards the scanner, millimetres. Below,
+ * (x, y) are places in the picture, y downwards, and depths are distances. */
 
 const SIDE = 160;
 const HALF_WIDTH_MM = 75;
@@ -85,7 +86,7 @@ export function meshMessage({ sequence, seconds, maxVertices, scalars, full }) {
     72 + pad4(6 * n) + (full ? 4 * n + 4 * triangles.length : 0) + (scalars === "none" ? 0 : pad4(n)) + jpeg.length;
   const out = Buffer.alloc(size);
   const [originMm, stepMm] = [
-    [-HALF_WIDTH_MM, -HALF_HEIGHT_MM, MIDDLE_MM - 60],
+    [-HALF_WIDTH_MM, -HALF_HEIGHT_MM, -MIDDLE_MM - 100],
     [(2 * HALF_WIDTH_MM) / 65535, (2 * HALF_HEIGHT_MM) / 65535, 160 / 65535],
   ];
   const high = { none: 0, depth: MIDDLE_MM + 100, error: 0.3, motion: 120 }[scalars] ?? 1;
@@ -106,9 +107,9 @@ export function meshMessage({ sequence, seconds, maxVertices, scalars, full }) {
   out.writeFloatLE(high, 64);
   let at = 72;
   for (const [k, [x, y]] of points.entries()) {
-    const z = depthMm(x, y, seconds);
+    const z = -depthMm(x, y, seconds);
     out.writeUInt16LE(Math.round(((x + 1) / 2) * 65535), at + 6 * k);
-    out.writeUInt16LE(Math.round(((y + 1) / 2) * 65535), at + 6 * k + 2);
+    out.writeUInt16LE(Math.round(((1 - y) / 2) * 65535), at + 6 * k + 2);
     out.writeUInt16LE(Math.max(0, Math.min(65535, Math.round((z - originMm[2]) / stepMm[2]))), at + 6 * k + 4);
   }
   at += pad4(6 * n);

@@ -1,4 +1,4 @@
-/** A box in millimetres, as the camera convention has it shown: x right, y up, z towards the viewer. */
+/** A box in millimetres: x right, y up, z towards the viewer. */
 export interface Box {
   low: [number, number, number];
   high: [number, number, number];

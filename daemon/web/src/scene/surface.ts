@@ -93,7 +93,7 @@ export class Surface {
     this.wireMaterial.setPlainColour(...wire);
   }
 
-  /** Depths that the colours span, mm; null before the first message. */
+  /** Depths (distances from the scanner along its axis) that the colours span, mm; null before the first message. */
   get depths(): [number, number] | null {
     return this.depthRange;
   }
@@ -108,7 +108,7 @@ export class Surface {
 
   /** Depth colours span all that was seen, so that they do not flicker. */
   private extendDepth({ originMm, stepMm }: MeshMessage): void {
-    const [low, high] = [originMm[2], originMm[2] + 65535 * stepMm[2]];
+    const [low, high] = [-originMm[2] - 65535 * stepMm[2], -originMm[2]];
     const range = this.depthRange ?? [low, high];
     this.depthRange = [Math.min(range[0], low), Math.max(range[1], high)];
     this.material.setDepthRange(...this.depthRange);
@@ -165,10 +165,10 @@ export class Surface {
   }
 }
 
-/** The box of a message in display axes: y and z turned about. */
+/** The box of a message: scans have x right, y up, z towards the scanner, as the display has. */
 export function messageBox({ originMm: o, stepMm: s }: MeshMessage): Box {
   const far = o.map((x, k) => x + 65535 * s[k]!) as [number, number, number];
-  return { low: [o[0], -far[1], -far[2]], high: [far[0], -o[1], -o[2]] };
+  return { low: [...o], high: far };
 }
 
 function newAttribute(values: TypedArray, size: number, normalized: boolean): BufferAttribute {

@@ -31,7 +31,7 @@ out float value;
 #endif
 void main() {
   vec3 mm = originMm + stepMm * position;
-  vec4 eye = modelViewMatrix * vec4(mm.x, -mm.y, -mm.z, 1.0);
+  vec4 eye = modelViewMatrix * vec4(mm, 1.0);
 #ifdef TEXTURED
   textureUv = vec2(uv.x, 1.0 - uv.y);
 #endif
@@ -42,7 +42,7 @@ void main() {
   value = scalar;
 #endif
 #ifdef DEPTH
-  value = clamp((mm.z - depthRange.x) / (depthRange.y - depthRange.x), 0.0, 1.0);
+  value = clamp((-mm.z - depthRange.x) / (depthRange.y - depthRange.x), 0.0, 1.0);
 #endif
   gl_Position = projectionMatrix * eye;
 }`;
