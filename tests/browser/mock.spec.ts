@@ -6,7 +6,10 @@ const TOKEN = "correct-horse";
 test("a cable pulled during a recording is told, with what to do", async ({ page, daemon }) => {
   const mock = daemon as MockDaemon;
   await open(page, daemon, "#/operate");
-  await page.getByRole("button", { name: /^(Start|Stop) scanner$/ }).first().waitFor();
+  await page
+    .getByRole("button", { name: /^(Start|Stop) scanner$/ })
+    .first()
+    .waitFor();
   await page.getByRole("button", { name: "Record", exact: true }).click();
   await expect(page.locator(".state")).toHaveText("Recording");
   await mock.set({ unplug: true });

@@ -95,5 +95,10 @@ test("two sessions side by side show the same moment", async ({ page, daemon }) 
 
 test("a session that is not there is said in words", async ({ page, daemon }) => {
   await page.goto(`${daemon.url}#/replay/nothing-of-that-name`);
-  await expect(page.getByRole("alert").filter({ hasText: /no|not/i }).first()).toBeVisible();
+  await expect(
+    page
+      .getByRole("alert")
+      .filter({ hasText: /no|not/i })
+      .first(),
+  ).toBeVisible();
 });

@@ -34,7 +34,10 @@ test("verifies, exports and downloads", async ({ page, daemon }) => {
   expect(zip.suggestedFilename()).toMatch(/\.zip$/);
 
   await page.getByRole("button", { name: `More… ${FIRST}`, exact: true }).click();
-  const [file] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: "Download" }).click()]);
+  const [file] = await Promise.all([
+    page.waitForEvent("download"),
+    page.getByRole("button", { name: "Download" }).click(),
+  ]);
   expect(file.suggestedFilename()).toBe(`${FIRST}.gv3`);
 });
 
