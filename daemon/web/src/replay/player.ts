@@ -6,6 +6,8 @@ import type { Playback } from "./playback";
 /** Pictures a second asked of the daemon. */
 const FPS = 30;
 
+/** So near to an end is there: sensor times differ a little from whole periods. */
+const END_S = 0.02;
 /** A seek without an answer for so long is not waited for. */
 const SEEK_PATIENCE_MS = 1000;
 
@@ -52,7 +54,7 @@ export class Player implements Playback {
   }
 
   play(): void {
-    const atEnd = this.reverse ? this.timeSeconds <= 0 : this.timeSeconds >= this.lengthSeconds - 1e-3;
+    const atEnd = this.reverse ? this.timeSeconds <= 0 : this.timeSeconds >= this.lengthSeconds - END_S;
     if (atEnd && !this.loop) this.seek(this.reverse ? this.lengthSeconds : 0);
     this.playing = true;
     this.tellPlay();
@@ -106,7 +108,7 @@ export class Player implements Playback {
     this.soughtMs = null;
     if (this.seekAgain) return this.seek(this.timeSeconds);
     this.timeSeconds = mesh.message.timeSeconds;
-    const ended = this.reverse ? this.timeSeconds <= 1e-3 : this.timeSeconds >= this.lengthSeconds - 1e-3;
+    const ended = this.reverse ? this.timeSeconds <= END_S : this.timeSeconds >= this.lengthSeconds - END_S;
     if (this.playing && !this.loop && ended) this.pause();
     this.handlers.changed();
   }
