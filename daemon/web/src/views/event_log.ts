@@ -20,7 +20,7 @@ export class EventLog {
     this.none.hidden = true;
     const time = new Date().toTimeString().slice(0, 8);
     const tick = event.tick === undefined ? "" : ` tick ${event.tick}`;
-    this.list.prepend(h("li", { class: event.kind }, h("time", {}, time), `${tick} ${eventWords(event)}`));
+    this.list.prepend(h("li", { class: `event-${event.kind}` }, h("time", {}, time), `${tick} ${eventWords(event)}`));
     while (this.list.childElementCount > KEPT) this.list.lastElementChild?.remove();
   }
 }
