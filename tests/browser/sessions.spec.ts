@@ -1,0 +1,67 @@
+import { expect, FIRST, open, SECOND, test } from "./fixtures";
+
+test("lists sessions and renames one", async ({ page, daemon }) => {
+  await open(page, daemon, "#/sessions");
+  await expect(page.getByRole("row").filter({ hasText: FIRST }).first()).toBeVisible();
+  const rename = async (from: string, to: string) => {
+    await page.getByRole("button", { name: `More… ${from}`, exact: true }).click();
+    await page.getByRole("button", { name: "Rename…" }).click();
+    await page.getByLabel("New name").fill("../out");
+    await page.getByRole("button", { name: "Rename", exact: true }).click();
+    await expect(page.getByText("letters, digits")).toBeVisible();
+    await page.getByLabel("New name").fill(to);
+    await page.getByRole("button", { name: "Rename", exact: true }).click();
+    await expect(page.getByRole("link", { name: to, exact: true })).toBeVisible();
+  };
+  await rename(SECOND, "renamed");
+  await rename("renamed", SECOND);
+});
+
+test("verifies, exports and downloads", async ({ page, daemon }) => {
+  await open(page, daemon, "#/sessions");
+  await page.getByRole("button", { name: `More… ${FIRST}`, exact: true }).click();
+  await page.getByRole("button", { name: "Verify" }).click();
+  await expect(page.locator(".jobs li").filter({ hasText: "Verify" })).toHaveAttribute("data-state", "done");
+
+  await page.getByRole("button", { name: `Export… ${FIRST}`, exact: true }).click();
+  await page.getByLabel("Files").selectOption("ply");
+  await page.getByLabel("From tick").fill("0");
+  await page.getByLabel("To tick").fill("3");
+  await page.getByRole("button", { name: "Export", exact: true }).click();
+  const job = page.locator(".jobs li").filter({ hasText: "Export" });
+  await expect(job).toHaveAttribute("data-state", "done", { timeout: 60_000 });
+  const [zip] = await Promise.all([page.waitForEvent("download"), job.getByRole("link", { name: /Save/ }).click()]);
+  expect(zip.suggestedFilename()).toMatch(/\.zip$/);
+
+  await page.getByRole("button", { name: `More… ${FIRST}`, exact: true }).click();
+  const [file] = await Promise.all([
+    page.waitForEvent("download"),
+    page.getByRole("button", { name: "Download" }).click(),
+  ]);
+  expect(file.suggestedFilename()).toBe(`${FIRST}.gv3`);
+});
+
+test("deletes only after a yes", async ({ page, daemon }) => {
+  await open(page, daemon, "#/sessions");
+  const remove = async (answer: string) => {
+    await page.getByRole("button", { name: `More… ${SECOND}`, exact: true }).click();
+    await page.getByRole("button", { name: "Delete…" }).click();
+    await page.getByRole("button", { name: answer, exact: true }).click();
+  };
+  await remove("Cancel");
+  await expect(page.getByRole("link", { name: SECOND, exact: true })).toBeVisible();
+});
+
+test("compares two sessions and saves the curves", async ({ page, daemon }) => {
+  await open(page, daemon, `#/measure/${FIRST}`);
+  await expect(page.getByRole("heading", { name: `Bytes a scan of ${FIRST}` })).toBeVisible();
+  await page.getByLabel("Against").selectOption(SECOND);
+  await page.getByRole("button", { name: "Compare" }).click();
+  const title = `Distance from ${FIRST} to ${SECOND}`;
+  await expect(page.getByRole("heading", { name: title })).toBeVisible({ timeout: 90_000 });
+  for (const form of ["SVG", "CSV"]) {
+    const save = page.getByRole("button", { name: `Download “${title}” as ${form}` });
+    const [file] = await Promise.all([page.waitForEvent("download"), save.click()]);
+    expect(file.suggestedFilename()).toMatch(new RegExp(`\\.${form.toLowerCase()}$`));
+  }
+});
