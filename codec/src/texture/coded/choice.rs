@@ -2,8 +2,8 @@
 
 use super::blocks::{Block, BlockModels};
 use super::canvas::{CELL, Canvas, Leaf, Square, quarters};
-use super::levels::{Levels, Shape};
-use super::transform::{MAX_AREA, forward, inverse};
+use super::levels::{Levels, Shape, is_zero};
+use super::transform::{forward, inverse};
 
 /// Times that pixels which do not count take over what is coded for the others (projection onto convex sets; H. H. Chen,
 /// M. R. Civanlar, B. G. Haskell, A block transform coder for arbitrarily shaped image segments, 1994).
@@ -70,39 +70,46 @@ fn choose_leaf(
 
 /// What a prediction lacks in a block.
 struct Missing {
-    values: [f32; MAX_AREA],
-    counts: [bool; MAX_AREA],
-    area: usize,
-    full: bool,
+    values: Vec<f32>,
+    counts: Vec<bool>,
+    /// Number of pixels that count.
+    count: usize,
 }
 
 impl Missing {
     /// Pixels that do not count miss the mean of the others.
     fn new(canvas: &Canvas<'_>, wanted: &[i16], s: Square, intra: bool, count: usize) -> Self {
         let area = s.side * s.side;
-        let (mut base, mut counts) = ([0_i32; MAX_AREA], [false; MAX_AREA]);
+        let (mut base, mut counts) = (vec![0_i32; area], vec![false; area]);
         canvas.predict(s, intra, &mut base);
-        let mut values = [0.0_f32; MAX_AREA];
+        let mut values = vec![0.0_f32; area];
         for (i, k) in canvas.places(s).filter(|(i, _)| canvas.mask[*i]) {
             values[k] = (i32::from(wanted[i]) - base[k]) as f32;
             counts[k] = true;
         }
         if count < area {
-            let mean = values[..area].iter().sum::<f32>() / count as f32;
-            (0..area).filter(|k| !counts[*k]).for_each(|k| values[k] = mean);
+            let mean = values.iter().sum::<f32>() / count as f32;
+            values.iter_mut().zip(&counts).filter(|(_, c)| !**c).for_each(|(v, _)| *v = mean);
         }
-        Self { values, counts, area, full: count == area }
+        Self { values, counts, count }
     }
 
     /// The best levels found and their price.
     fn levels(mut self, models: &BlockModels, shape: &Shape, step: i32, lambda: f32) -> (Levels, f32) {
-        let choose = |values: &[f32; MAX_AREA]| {
-            let mut coefficients = *values;
-            forward(&mut coefficients, shape.side);
-            models.levels.choose(shape, &coefficients, step as f32, lambda)
+        let area = shape.side * shape.side;
+        let squares = |values: &[f32]| values.iter().map(|v| v * v).sum::<f32>();
+        if is_zero(squares(&self.values), step as f32) {
+            let counted = self.values.iter().zip(&self.counts).map(|(v, c)| if *c { v * v } else { 0.0 });
+            let price = counted.sum::<f32>() + lambda / 256.0 * models.levels.extent_cost(shape, 0) as f32;
+            return (Levels { extent: 0, values: vec![0; area] }, price);
+        }
+        let mut coefficients = vec![0.0; area];
+        let mut choose = |values: &[f32]| {
+            forward(values, shape.side, &mut coefficients);
+            models.levels.choose(shape, &coefficients, squares(values), step as f32, lambda)
         };
         let mut best = choose(&self.values);
-        if self.full {
+        if self.count == area {
             return best;
         }
         best.1 -= self.refill(&best.0, shape.side, step);
@@ -118,12 +125,14 @@ impl Missing {
 
     /// Gives the pixels that do not count what is coded for them; returns their squared error before.
     fn refill(&mut self, levels: &Levels, side: usize, step: i32) -> f32 {
-        let mut coded = [0_i32; MAX_AREA];
-        inverse(levels, side, step, &mut coded);
+        let mut coded = vec![0_i32; side * side];
+        if levels.extent > 0 {
+            inverse(levels, side, step, &mut coded);
+        }
         let mut error = 0.0;
-        for k in (0..self.area).filter(|k| !self.counts[*k]) {
-            error += (self.values[k] - coded[k] as f32).powi(2);
-            self.values[k] = coded[k] as f32;
+        for ((v, coded), _) in self.values.iter_mut().zip(coded).zip(&self.counts).filter(|(_, c)| !**c) {
+            error += (*v - coded as f32).powi(2);
+            *v = coded as f32;
         }
         error
     }

@@ -152,6 +152,11 @@ fn used_diagonals(coefficients: &[f32], side: usize, least: f32) -> usize {
     (0..side * side).filter(large).map(|k| k / side + k % side + 1).max().unwrap_or(0)
 }
 
+/// Whether no coefficient of a block extends it, by the sum of its squared pixels: no coefficient is larger than its root.
+pub fn is_zero(squares: f32, step: f32) -> bool {
+    squares <= (DEAD_ZONE * step).powi(2)
+}
+
 /// Class of the sum of magnitudes around a coefficient.
 fn around(sum: usize) -> usize {
     match sum {
@@ -248,7 +253,7 @@ impl LevelModels {
     }
 
     /// Cost of an extent, 1/256 bit.
-    fn extent_cost(&self, shape: &Shape, extent: usize) -> u32 {
+    pub fn extent_cost(&self, shape: &Shape, extent: usize) -> u32 {
         let mut cost = self.extents.cost(&Self::extent_contexts(shape, 0, 0))[usize::from(extent > 0)];
         if extent == 0 {
             return cost;
@@ -262,13 +267,20 @@ impl LevelModels {
         cost
     }
 
-    /// Levels of `coefficients` for about the least squared error + `lambda` x bits, and that sum: in coding order each takes
+    /// Levels of `coefficients`, whose block has `squares` as the sum of its squared pixels, for about the least squared error + `lambda` x bits, and that sum: in coding order each takes
     /// the cheapest, then the last diagonals go as long as that pays.
-    pub fn choose(&self, shape: &Shape, coefficients: &[f32], step: f32, lambda: f32) -> (Levels, f32) {
+    pub fn choose(
+        &self,
+        shape: &Shape,
+        coefficients: &[f32],
+        squares: f32,
+        step: f32,
+        lambda: f32,
+    ) -> (Levels, f32) {
         let side = shape.side;
         let mut values = vec![0_i32; side * side];
         let per_cost = lambda / 256.0;
-        let mut tail: f32 = coefficients[..side * side].iter().map(|c| c * c).sum();
+        let mut tail = squares;
         let mut best = (0, tail + per_cost * self.extent_cost(shape, 0) as f32);
         let extent = used_diagonals(coefficients, side, DEAD_ZONE * step);
         let mut sum = 0.0;
@@ -376,7 +388,8 @@ mod tests {
             let hash = |k: usize| ((k as u32 ^ seed << 12).wrapping_mul(2_654_435_761) >> 16) as f32 / 65_536.0 - 0.5;
             let coefficients: Vec<f32> = (0..area).map(|k| 4000.0 * hash(k) / (1 + k / shape.side + k % shape.side) as f32).collect();
             let models = LevelModels::default();
-            let (mut levels, price) = models.choose(&shape, &coefficients, 100.0, lambda);
+            let squares = coefficients.iter().map(|c| c * c).sum();
+            let (mut levels, price) = models.choose(&shape, &coefficients, squares, 100.0, lambda);
             let error: f32 = coefficients.iter().zip(&levels.values).map(|(c, l)| (c - 100.0 * *l as f32).powi(2)).sum();
             let nothing: f32 = coefficients.iter().map(|c| c * c).sum();
             prop_assert!(error <= nothing + 1.0);

@@ -49,31 +49,79 @@ fn element(side: usize, k: usize, x: usize) -> i32 {
     MATRIX[k * (MAX_SIDE / side)][x]
 }
 
-/// Orthonormal transform of a block of `side` x `side`, row-major, in place.
-pub fn forward(block: &mut [f32], side: usize) {
-    let scale = 1.0 / (64.0 * (side as f32).sqrt());
-    let mut matrix = [0.0_f32; MAX_AREA];
-    for x in 0..side {
-        for k in 0..side {
-            matrix[x * side + k] = element(side, k, x) as f32 * scale;
+/// Frequencies that encoders look for in each direction: higher ones of the largest blocks are left to smaller blocks.
+const KEPT: usize = 16;
+
+/// For each pixel of the first half of a row the even (0) or odd (1) rows of the matrix, orthonormal.
+const fn half_matrix<const HALF: usize, const KEPT_HALF: usize>(odd: usize, root: f32) -> [[f32; KEPT_HALF]; HALF] {
+    let mut m = [[0.0; KEPT_HALF]; HALF];
+    let mut x = 0;
+    while x < HALF {
+        let mut j = 0;
+        while j < KEPT_HALF {
+            m[x][j] = MATRIX[(2 * j + odd) * (MAX_SIDE / (2 * HALF))][x] as f32 / (64.0 * root);
+            j += 1;
+        }
+        x += 1;
+    }
+    m
+}
+
+const ROOT_8: f32 = 2.828_427;
+const ROOT_32: f32 = 5.656_854_2;
+static HALVES_8: [[[f32; 4]; 4]; 2] = [half_matrix(0, ROOT_8), half_matrix(1, ROOT_8)];
+static HALVES_16: [[[f32; 8]; 8]; 2] = [half_matrix(0, 4.0), half_matrix(1, 4.0)];
+static HALVES_32: [[[f32; 8]; 16]; 2] = [half_matrix(0, ROOT_32), half_matrix(1, ROOT_32)];
+
+/// Orthonormal transform of a block of `side` x `side`, row-major; of the largest blocks the lower half of the frequencies
+/// in each direction, 0 for the rest.
+///
+/// # Panics
+/// When a slice is shorter than the block.
+pub fn forward(block: &[f32], side: usize, out: &mut [f32]) {
+    match side {
+        8 => forward_sized::<8, 4, 4>(block, &HALVES_8, out),
+        16 => forward_sized::<16, 8, 8>(block, &HALVES_16, out),
+        _ => forward_sized::<MAX_SIDE, 16, { KEPT / 2 }>(block, &HALVES_32, out),
+    }
+}
+
+/// Sums and differences of mirrored pixels give the even and the odd frequencies.
+fn forward_sized<const SIDE: usize, const HALF: usize, const M: usize>(
+    block: &[f32],
+    halves: &[[[f32; M]; HALF]; 2],
+    out: &mut [f32],
+) {
+    // Rows first; even frequencies, then odd ones.
+    let mut rows = [[[0.0_f32; M]; 2]; SIDE];
+    for (row, sums) in block.chunks_exact(SIDE).zip(&mut rows) {
+        for x in 0..HALF {
+            let (a, b) = (row[x], row[SIDE - 1 - x]);
+            add_scaled(&mut sums[0], &halves[0][x], a + b);
+            add_scaled(&mut sums[1], &halves[1][x], a - b);
         }
     }
-    let mut half = [0.0_f32; MAX_AREA];
-    for (row, out) in block.chunks_exact(side).zip(half.chunks_exact_mut(side)).take(side) {
-        for (v, m) in row.iter().zip(matrix.chunks_exact(side)) {
-            add_scaled(out, m, *v);
+    let out = &mut out[..SIDE * SIDE];
+    out.fill(0.0);
+    for v in 0..2 * M {
+        let mut sums = [[0.0_f32; M]; 2];
+        for (y, factors) in halves[v % 2].iter().enumerate() {
+            let (above, below) = (&rows[y], &rows[SIDE - 1 - y]);
+            let sign = if v % 2 == 0 { 1.0 } else { -1.0 };
+            for ((sum, a), b) in sums.iter_mut().zip(above).zip(below) {
+                let mirrored: [f32; M] = std::array::from_fn(|j| a[j] + sign * b[j]);
+                add_scaled(sum, &mirrored, factors[v / 2]);
+            }
         }
-    }
-    for (k, out) in block.chunks_exact_mut(side).enumerate().take(side) {
-        out.fill(0.0);
-        for (y, row) in half.chunks_exact(side).enumerate().take(side) {
-            add_scaled(out, row, matrix[y * side + k]);
+        for j in 0..M {
+            out[v * SIDE + 2 * j] = sums[0][j];
+            out[v * SIDE + 2 * j + 1] = sums[1][j];
         }
     }
 }
 
 /// `out += factor * row`, in a form that keeps the order of additions and still fills vector registers.
-fn add_scaled(out: &mut [f32], row: &[f32], factor: f32) {
+fn add_scaled<const M: usize>(out: &mut [f32; M], row: &[f32; M], factor: f32) {
     for (o, r) in out.iter_mut().zip(row) {
         *o += r * factor;
     }
@@ -133,8 +181,12 @@ mod tests {
         #[test]
         fn the_inverse_undoes_the_transform(size in 0_usize..3, values in prop::collection::vec(-4080_i32..4080, MAX_AREA)) {
             let side = 8 << size;
-            let mut block: Vec<f32> = values[..side * side].iter().map(|v| *v as f32).collect();
-            forward(&mut block, side);
+            // A block of the largest size is smooth, so that half of its frequencies hold it.
+            let smooth = |k: usize| if side < MAX_SIDE { values[k] } else { values[k / 8 % 4 + k / side / 8 * 4] };
+            let values: Vec<i32> = (0..side * side).map(smooth).collect();
+            let pixels: Vec<f32> = values.iter().map(|v| *v as f32).collect();
+            let mut block = vec![0.0; side * side];
+            forward(&pixels, side, &mut block);
             let levels = Levels { extent: 2 * side - 1, values: block.iter().map(|c| c.round() as i32).collect() };
             let mut back = vec![0; side * side];
             inverse(&levels, side, 1, &mut back);
