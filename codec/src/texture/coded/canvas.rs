@@ -3,6 +3,7 @@
 use super::levels::{Levels, Shape, activity};
 use super::planes::{LEVEL_BITS, MAX_VALUE};
 use super::transform::{MAX_AREA, MAX_SIDE, inverse};
+use std::ops::Range;
 
 /// Side of the largest block.
 pub const SUPER: usize = MAX_SIDE;
@@ -10,6 +11,25 @@ pub const SUPER: usize = MAX_SIDE;
 pub const CELL: usize = 8;
 /// A pixel that is not decoded yet.
 pub const NOT_YET: i16 = i16::MIN;
+
+/// What pixels are expected to be, 1/16 grey level.
+#[derive(Debug, Clone, Copy)]
+pub enum Prediction<'a> {
+    /// Each as in a picture.
+    Pixels(&'a [i16]),
+    /// All alike.
+    Mean(i32),
+}
+
+impl Prediction<'_> {
+    /// Of a pixel of the picture.
+    pub fn at(&self, pixel: usize) -> i32 {
+        match self {
+            Self::Pixels(p) => i32::from(p[pixel]),
+            Self::Mean(mean) => *mean,
+        }
+    }
+}
 
 /// A square of pixels.
 #[derive(Debug, Clone, Copy)]
@@ -66,11 +86,11 @@ impl<'a> Canvas<'a> {
         Self { width, height, mask, prediction, pixels: vec![NOT_YET; width * height], step, cells, columns }
     }
 
-    /// Index of each pixel of a square inside the picture with its row-major place in the square.
-    pub fn places(&self, s: Square) -> impl Iterator<Item = (usize, usize)> + use<'a> {
+    /// Pixels of each row of a square inside the picture, with the place of the first in the square, row-major.
+    pub fn rows(&self, s: Square) -> impl Iterator<Item = (Range<usize>, usize)> + use<'a> {
         let (w, h) = (self.width, self.height);
-        (s.y..(s.y + s.side).min(h))
-            .flat_map(move |y| (s.x..(s.x + s.side).min(w)).map(move |x| (y * w + x, (y - s.y) * s.side + x - s.x)))
+        let end = (s.x + s.side).min(w);
+        (s.y..(s.y + s.side).min(h)).map(move |y| (y * w + s.x..y * w + end, (y - s.y) * s.side))
     }
 
     /// Pixels of a square that count.
@@ -126,28 +146,27 @@ impl<'a> Canvas<'a> {
         if count > 0 { (sum + count / 2) / count } else { 128 << LEVEL_BITS }
     }
 
-    /// Prediction of a square.
-    pub fn predict(&self, s: Square, intra: bool, out: &mut [i32]) {
+    /// Prediction of a square, where it is one of each pixel; the mean of its neighbours, where it is one for all.
+    pub fn predict(&self, s: Square, intra: bool) -> Prediction<'a> {
         match self.prediction {
-            Some(p) if !intra => {
-                for (i, k) in self.places(s) {
-                    out[k] = i32::from(p[i]);
-                }
-            }
-            _ => out[..s.side * s.side].fill(self.mean_around(s)),
+            Some(p) if !intra => Prediction::Pixels(p),
+            _ => Prediction::Mean(self.mean_around(s)),
         }
     }
 
     /// Writes a decoded block.
     pub fn put(&mut self, s: Square, leaf: &Leaf) {
-        let (mut base, mut correction) = ([0_i32; MAX_AREA], [0_i32; MAX_AREA]);
-        self.predict(s, leaf.intra, &mut base);
+        let base = self.predict(s, leaf.intra);
+        let mut correction = [0_i32; MAX_AREA];
         if leaf.levels.extent > 0 {
-            inverse(&leaf.levels, s.side, self.step, &mut correction);
+            inverse(&leaf.levels, s.side, self.step, &mut correction[..s.side * s.side]);
         }
-        for (i, k) in self.places(s) {
-            if self.mask[i] {
-                self.pixels[i] = (base[k] + correction[k]).clamp(0, MAX_VALUE) as i16;
+        for (row, k) in self.rows(s) {
+            let (mask, out) = (&self.mask[row.clone()], &mut self.pixels[row.clone()]);
+            for (((i, on), out), correction) in row.zip(mask).zip(out).zip(&correction[k..]) {
+                if *on {
+                    *out = (base.at(i) + correction).clamp(0, MAX_VALUE) as i16;
+                }
             }
         }
         let cell = Cell {

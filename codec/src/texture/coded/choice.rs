@@ -80,12 +80,13 @@ impl Missing {
     /// Pixels that do not count miss the mean of the others.
     fn new(canvas: &Canvas<'_>, wanted: &[i16], s: Square, intra: bool, count: usize) -> Self {
         let area = s.side * s.side;
-        let (mut base, mut counts) = (vec![0_i32; area], vec![false; area]);
-        canvas.predict(s, intra, &mut base);
-        let mut values = vec![0.0_f32; area];
-        for (i, k) in canvas.places(s).filter(|(i, _)| canvas.mask[*i]) {
-            values[k] = (i32::from(wanted[i]) - base[k]) as f32;
-            counts[k] = true;
+        let base = canvas.predict(s, intra);
+        let (mut values, mut counts) = (vec![0.0_f32; area], vec![false; area]);
+        for (row, k) in canvas.rows(s) {
+            for (i, k) in row.zip(k..).filter(|(i, _)| canvas.mask[*i]) {
+                values[k] = (i32::from(wanted[i]) - base.at(i)) as f32;
+                counts[k] = true;
+            }
         }
         if count < area {
             let mean = values.iter().sum::<f32>() / count as f32;

@@ -130,7 +130,7 @@ fn add_scaled<const M: usize>(out: &mut [f32; M], row: &[f32; M], factor: f32) {
 /// Pixels of a block of `side` x `side` from its levels, `step` apart.
 pub fn inverse(levels: &Levels, side: usize, step: i32, pixels: &mut [i32]) {
     let used = levels.extent.min(side);
-    let mut rows = [0_i32; MAX_AREA];
+    let mut rows = vec![0_i32; used * side];
     for (v, row) in rows.chunks_exact_mut(side).enumerate().take(used) {
         for u in 0..used.min(levels.extent - v) {
             let level = levels.values[v * side + u];
