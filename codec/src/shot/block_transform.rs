@@ -47,19 +47,32 @@ const fn zigzag() -> [u8; AREA] {
     order
 }
 
+/// The matrix transposed and orthonormal.
+const ORTHONORMAL: [[f32; SIDE]; SIDE] = orthonormal();
+
+const fn orthonormal() -> [[f32; SIDE]; SIDE] {
+    const ROOT_8: f32 = 2.828_427;
+    let mut m = [[0.0; SIDE]; SIDE];
+    let mut k = 0;
+    while k < AREA {
+        m[k % SIDE][k / SIDE] = MATRIX[k / SIDE][k % SIDE] as f32 / (64.0 * ROOT_8);
+        k += 1;
+    }
+    m
+}
+
 /// Orthonormal cosine transform of a block, for encoders.
 pub fn forward(block: &[f32; AREA]) -> [f32; AREA] {
-    let scale = 1.0 / (64.0 * 8f32.sqrt());
-    let mut rows = [0.0; AREA];
-    for (row, out) in block.chunks_exact(SIDE).zip(rows.chunks_exact_mut(SIDE)) {
-        for (m, out) in MATRIX.iter().zip(out) {
-            *out = row.iter().zip(m).map(|(v, m)| v * *m as f32).sum::<f32>() * scale;
+    let mut rows = [[0.0; SIDE]; SIDE];
+    for (row, sums) in block.chunks_exact(SIDE).zip(&mut rows) {
+        for (v, m) in row.iter().zip(&ORTHONORMAL) {
+            sums.iter_mut().zip(m).for_each(|(s, m)| *s += v * m);
         }
     }
     let mut out = [0.0; AREA];
-    for (k, m) in MATRIX.iter().enumerate() {
-        for x in 0..SIDE {
-            out[k * SIDE + x] = (0..SIDE).map(|y| rows[y * SIDE + x] * m[y] as f32).sum::<f32>() * scale;
+    for (row, factors) in rows.iter().zip(&ORTHONORMAL) {
+        for (sums, factor) in out.chunks_exact_mut(SIDE).zip(factors) {
+            sums.iter_mut().zip(row).for_each(|(s, r)| *s += r * factor);
         }
     }
     out
@@ -179,17 +192,19 @@ impl BlockModels {
         cost as f32 / 256.0
     }
 
-    /// Puts `level` in the place of that at zigzag position `i`, which is not zero; what the levels cost more then, bits.
-    pub fn more_bits(&self, levels: &mut [i32; AREA], i: usize, level: i32) -> f32 {
-        let at = ZIGZAG[i] as usize;
-        let is_last = ZIGZAG[i + 1..].iter().all(|k| levels[*k as usize] == 0);
-        if is_last && level == 0 {
-            let before = self.bits(levels);
-            levels[at] = level;
-            return self.bits(levels) - before;
-        }
-        let [before, after] = [std::mem::replace(&mut levels[at], level), level].map(|v| self.cost(i, v, is_last));
-        (after as f32 - before as f32) / 256.0
+    /// What levels cost more, in bits, when `level` takes the place of the one at zigzag position `i`, which is not zero;
+    /// `is_last` says whether it is the last that is not.
+    pub fn more_bits(&self, levels: &[i32; AREA], (i, is_last): (usize, bool), level: i32) -> f32 {
+        let at = |i: usize| levels[ZIGZAG[i] as usize];
+        let cost = |i: usize, is_last: bool| self.cost(i, at(i), is_last) as f32;
+        let more = if is_last && level == 0 {
+            let before = (0..i).rev().find(|j| at(*j) != 0);
+            let gone: f32 = (before.map_or(0, |j| j + 1)..i).map(|j| cost(j, false)).sum();
+            before.map_or(0.0, |j| cost(j, true) - cost(j, false)) - gone - cost(i, true)
+        } else {
+            self.cost(i, level, is_last) as f32 - cost(i, is_last)
+        };
+        more / 256.0
     }
 
     /// Expected cost of the level at a zigzag position, 1/256 bit.
@@ -227,6 +242,18 @@ mod tests {
             let levels = forward(&block).map(|c| c.round() as i32);
             let back = inverse(&levels, 1);
             prop_assert!(back.iter().zip(&values).all(|(a, b)| (a - b).abs() <= 24), "{:?}", back);
+        }
+
+        #[test]
+        fn a_level_costs_what_its_block_costs_more(values in prop::collection::vec(-3_i32..4, AREA), at in 0_usize..AREA, level in -20_i32..20) {
+            let mut levels: [i32; AREA] = std::array::from_fn(|k| values[k].max(0) - (-values[k] - 2).max(0));
+            levels[usize::from(ZIGZAG[at])] = 2;
+            let last = (0..AREA).rev().find(|i| levels[usize::from(ZIGZAG[*i])] != 0).unwrap();
+            let models = BlockModels::default();
+            // Zero in the place of the last level ends the block earlier; any other leaves its end where it is.
+            let (before, more) = (models.bits(&levels), models.more_bits(&levels, (at, at == last), level));
+            levels[usize::from(ZIGZAG[at])] = level;
+            prop_assert!((models.bits(&levels) - before - more).abs() < 0.02);
         }
 
         #[test]

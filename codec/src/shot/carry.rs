@@ -1,13 +1,13 @@
 //! Where the blocks of a drawn surface lie in the pictures of scans that are decoded already.
 //!
 //! A block goes along with the point of the surface that one of its pixels shows; beside the surface the nearest block's
-//! motion and the nearest pixel's depth go on.
+//! motion and the nearest depth of a row go on.
 
 use super::bisection::Connectivity;
 use super::raster::{DepthPicture, NOTHING};
 use super::reciprocal::Reciprocal;
 use super::view::{PX_BITS, Seen};
-use crate::texture::coded::{BLOCK, NOWHERE, Offsets};
+use crate::texture::coded::{BLOCK, NOWHERE, Offsets, continue_unknown};
 
 /// Farthest offset, 1/256 px.
 const MAX_OFFSET: i64 = 1 << 28;
@@ -34,7 +34,7 @@ const ORDER: [[usize; 2]; BLOCK * BLOCK] = [
 /// Depth of the model at each pixel and offsets to reference pictures, beside the surface as at the nearest one on it.
 #[derive(Debug, Clone)]
 pub struct Carried {
-    /// Depth in units; [`NOTHING`] everywhere when nothing was drawn.
+    /// Depth in units.
     pub depth: Vec<i32>,
     /// To each reference; [`NOWHERE`] when nothing was drawn.
     pub offsets: Vec<Offsets>,
@@ -45,10 +45,14 @@ pub fn carry(picture: &DepthPicture, seen: &[Seen], connectivity: &Connectivity,
     Carried { depth: continued_depth(picture), offsets: offsets(picture, seen, connectivity, references) }
 }
 
-/// Depth of a picture, beside the surface that of the nearest pixel on it.
+/// Depth of a picture, beside the surface that of the nearest pixel of the row on it, or of the nearest row; 0 where nothing
+/// was drawn.
 pub fn continued_depth(picture: &DepthPicture) -> Vec<i32> {
-    let nearest = nearest_known(&picture.depth, |d| *d != NOTHING, picture.width);
-    nearest.into_iter().map(|j| picture.depth[j as usize]).collect()
+    let mut depth = picture.depth.clone();
+    if !continue_unknown(&mut depth, picture.width, NOTHING) {
+        depth.fill(0);
+    }
+    depth
 }
 
 /// Offsets of a picture's blocks to each reference.
@@ -210,6 +214,6 @@ mod tests {
     fn an_empty_picture_carries_nothing() {
         let (seen, connectivity) = two_triangles();
         let carried = carry(&DepthPicture::new(4, 3), &seen, &connectivity, &[&seen]);
-        assert!(carried.depth.iter().all(|d| *d == NOTHING) && carried.offsets[0].blocks.iter().all(|o| *o == NOWHERE));
+        assert!(carried.depth.iter().all(|d| *d == 0) && carried.offsets[0].blocks.iter().all(|o| *o == NOWHERE));
     }
 }

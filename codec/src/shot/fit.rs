@@ -61,8 +61,8 @@ impl LevelSystem {
         let mut is_used = vec![false; spans];
         let mut rest = equations;
         while let Some(first) = rest.first() {
-            let (sy, _) = self.axis(first.grid[1]);
-            let count = rest.iter().position(|e| self.axis(e.grid[1]).0 != sy).unwrap_or(rest.len());
+            let sy = self.span(first.grid[1]);
+            let count = rest.iter().position(|e| self.span(e.grid[1]) != sy).unwrap_or(rest.len());
             self.add_to_cells(&rest[..count], &mut cells, &mut is_used);
             for sx in (0..spans).filter(|sx| is_used[*sx]) {
                 self.add_cell(sy * self.side + sx, &cells[sx]);
@@ -77,8 +77,8 @@ impl LevelSystem {
     fn add_to_cells(&self, equations: &[Equation], cells: &mut [[f32; CELL_SUMS]], is_used: &mut [bool]) {
         let mut rest = equations;
         while let Some(first) = rest.first() {
-            let (sx, _) = self.axis(first.grid[0]);
-            let is_beside = |e: &Equation| e.grid[1] == first.grid[1] && self.axis(e.grid[0]).0 == sx;
+            let sx = self.span(first.grid[0]);
+            let is_beside = |e: &Equation| e.grid[1] == first.grid[1] && self.span(e.grid[0]) == sx;
             let count = rest.iter().position(|e| !is_beside(e)).unwrap_or(rest.len());
             let mut along = [0.0; ROW_SUMS];
             for e in &rest[..count] {
@@ -136,10 +136,15 @@ impl LevelSystem {
         }
     }
 
+    /// Span that a grid coordinate lies in.
+    fn span(&self, grid: f64) -> usize {
+        ((grid * ((self.side - 3) as f64 / GRID_CELLS as f64)) as usize).min(self.side - 4)
+    }
+
+    /// Span that a grid coordinate lies in, and the weights of its four nodes.
     fn axis(&self, grid: f64) -> (usize, [f64; 4]) {
-        let at = grid * ((self.side - 3) as f64 / GRID_CELLS as f64);
-        let span = (at as usize).min(self.side - 4);
-        let t = at - span as f64;
+        let span = self.span(grid);
+        let t = grid * ((self.side - 3) as f64 / GRID_CELLS as f64) - span as f64;
         let q = 1.0 - t;
         (
             span,

@@ -3,6 +3,7 @@
 use super::block_transform::{AREA, BASIS, BlockModels, SIDE, ZIGZAG, forward, inverse};
 use crate::Result;
 use crate::bits::range_coder::{BitModel, RangeDecoder, RangeEncoder};
+use std::ops::Range;
 
 /// Share of a step above which a coefficient is tried at all.
 const DEAD_ZONE: f32 = 0.65;
@@ -56,19 +57,19 @@ impl Field<'_> {
     fn blocks(&self) -> impl Iterator<Item = Place> + '_ {
         let rows = self.height.div_ceil(SIDE);
         let places = (0..rows).flat_map(|y| (0..self.columns()).map(move |x| Place { x, y }));
-        places.filter(|p| (0..AREA).any(|k| self.pixel(*p, k).is_some()))
+        places.filter(|p| self.rows(*p).any(|(row, _)| self.mask[row].contains(&true)))
     }
 
-    /// Index of a block's pixel if it counts.
-    fn pixel(&self, place: Place, k: usize) -> Option<usize> {
-        let (x, y) = (place.x * SIDE + k % SIDE, place.y * SIDE + k / SIDE);
-        let i = y * self.width + x;
-        (x < self.width && y < self.height && self.mask[i]).then_some(i)
+    /// Pixels of each row of a block inside the picture, with the place of the first in the block.
+    fn rows(&self, place: Place) -> impl Iterator<Item = (Range<usize>, usize)> + use<> {
+        let (width, x, y) = (self.width, place.x * SIDE, place.y * SIDE);
+        let end = (x + SIDE).min(width);
+        (y..(y + SIDE).min(self.height)).map(move |row| (row * width + x..row * width + end, (row - y) * SIDE))
     }
 
     fn add(&self, place: Place, block: &[i32; AREA], values: &mut [i32]) {
-        for (k, v) in block.iter().enumerate() {
-            if let Some(i) = self.pixel(place, k) {
+        for (row, k) in self.rows(place) {
+            for (i, v) in row.zip(&block[k..]).filter(|(i, _)| self.mask[*i]) {
                 values[i] = values[i].saturating_add(*v);
             }
         }
@@ -155,8 +156,8 @@ struct Block {
 impl Block {
     fn gather(field: &Field<'_>, place: Place, wanted: &[i32], weights: &[f32], values: &[i32]) -> Self {
         let mut block = Self { missing: [0.0; AREA], weight: [0.0; AREA] };
-        for k in 0..AREA {
-            if let Some(i) = field.pixel(place, k) {
+        for (row, k) in field.rows(place) {
+            for (i, k) in row.zip(k..).filter(|(i, _)| field.mask[*i]) {
                 block.missing[k] = (wanted[i] - values[i]) as f32;
                 block.weight[k] = weights[i];
             }
@@ -165,8 +166,15 @@ impl Block {
     }
 
     fn error(&self, coded: &[i32; AREA]) -> f32 {
-        let terms = self.missing.iter().zip(coded).zip(&self.weight);
-        terms.map(|((m, c), w)| (m - *c as f32).powi(2) * w).sum()
+        let mut sums = [0.0; SIDE];
+        let rows = self.missing.chunks_exact(SIDE).zip(coded.chunks_exact(SIDE)).zip(self.weight.chunks_exact(SIDE));
+        for ((missing, coded), weight) in rows {
+            for i in 0..SIDE {
+                let rest = missing[i] - coded[i] as f32;
+                sums[i] += rest * rest * weight[i];
+            }
+        }
+        sums.iter().sum()
     }
 
     /// Levels whose saving exceeds `lambda` times their bits and `worth`.
@@ -185,37 +193,46 @@ impl Block {
 
     /// Levels, the last one first, at zero or one nearer to it where that costs less than it saves.
     fn lowered(&self, mut levels: [i32; AREA], models: &BlockModels, options: PatchOptions) -> [i32; AREA] {
-        let coded = inverse(&levels, options.step);
-        let mut rest: [f32; AREA] = std::array::from_fn(|p| self.missing[p] - coded[p] as f32);
+        let mut rest = self.missing;
+        let take = |rest: &mut [f32; AREA], k: usize, by: i32| {
+            let by = (by * options.step) as f32;
+            rest.iter_mut().zip(&BASIS[k]).for_each(|(r, b)| *r -= by * b);
+        };
+        (0..AREA).filter(|k| levels[*k] != 0).for_each(|k| take(&mut rest, k, levels[k]));
+        let mut is_last = true;
         for (i, k) in ZIGZAG.iter().map(|k| usize::from(*k)).enumerate().rev() {
             let kept = levels[k];
             if kept == 0 {
                 continue;
             }
+            let [slope, curvature] = self.projected(&rest, &BASIS[k]);
             for tried in [0, kept - kept.signum()] {
                 let step = ((tried - kept) * options.step) as f32;
-                let more = models.more_bits(&mut levels, i, tried);
-                if self.change(&rest, &BASIS[k], step) + options.lambda * more < 0.0 {
-                    rest.iter_mut().zip(&BASIS[k]).for_each(|(r, b)| *r -= step * b);
+                let more = models.more_bits(&levels, (i, is_last), tried);
+                if step * (step * curvature - 2.0 * slope) + options.lambda * more < 0.0 {
+                    levels[k] = tried;
+                    take(&mut rest, k, tried - kept);
                     break;
                 }
-                levels[k] = kept;
             }
+            is_last &= levels[k] == 0;
         }
         levels
     }
 
-    /// What the squared error of `rest` grows by when `step` times a picture is taken off it.
-    fn change(&self, rest: &[f32; AREA], picture: &[f32; AREA], step: f32) -> f32 {
-        let mut sums = [0.0; SIDE];
+    /// Weighted products of a picture with `rest` and with itself: when `s` times the picture is taken off `rest`, its squared
+    /// error grows by `s (s b - 2 a)`.
+    fn projected(&self, rest: &[f32; AREA], picture: &[f32; AREA]) -> [f32; 2] {
+        let (mut a, mut b) = ([0.0; SIDE], [0.0; SIDE]);
         let rows = rest.chunks_exact(SIDE).zip(picture.chunks_exact(SIDE)).zip(self.weight.chunks_exact(SIDE));
         for ((rest, picture), weight) in rows {
             for i in 0..SIDE {
-                let by = step * picture[i];
-                sums[i] += weight[i] * by * (by - 2.0 * rest[i]);
+                let weighted = weight[i] * picture[i];
+                a[i] += weighted * rest[i];
+                b[i] += weighted * picture[i];
             }
         }
-        sums.iter().sum()
+        [a.iter().sum(), b.iter().sum()]
     }
 
     /// Levels of the block whose pixels off the mask are free: they follow what is coded for the others (projection onto

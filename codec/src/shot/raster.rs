@@ -2,7 +2,7 @@
 
 use super::reciprocal::Reciprocal;
 use super::view::{PX_BITS, Seen};
-use std::ops::RangeInclusive;
+use std::ops::Range;
 
 /// Depth of a pixel that sees nothing.
 pub const NOTHING: i32 = i32::MAX;
@@ -36,7 +36,7 @@ impl DepthPicture {
     }
 
     /// Columns and rows of the pixels around a triangle; `None` where there are none, or more than a surface of a scan has.
-    pub fn around(&self, [a, b, c]: [Seen; 3]) -> Option<[RangeInclusive<i32>; 2]> {
+    fn around(&self, [a, b, c]: [Seen; 3]) -> Option<[Range<i32>; 2]> {
         let (x0, x1) = (a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x));
         let (y0, y1) = (a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y));
         if x1 - x0 > MAX_SPAN || y1 - y0 > MAX_SPAN {
@@ -44,8 +44,8 @@ impl DepthPicture {
         }
         let up = |v: i32| (v + 255) >> PX_BITS;
         let (px0, py0) = (up(x0).max(0), up(y0).max(0));
-        let (px1, py1) = ((x1 >> PX_BITS).min(self.width as i32 - 1), (y1 >> PX_BITS).min(self.height as i32 - 1));
-        (px0 <= px1 && py0 <= py1).then_some([px0..=px1, py0..=py1])
+        let (px1, py1) = (((x1 >> PX_BITS) + 1).min(self.width as i32), ((y1 >> PX_BITS) + 1).min(self.height as i32));
+        (px0 < px1 && py0 < py1).then_some([px0..px1, py0..py1])
     }
 
     /// Draws a front-facing triangle (clockwise in the picture, whose rows go down); pixel centres on an edge belong to the
@@ -61,7 +61,7 @@ impl DepthPicture {
             return 0;
         }
         let Some([columns, rows]) = self.around(corners) else { return 0 };
-        let (px0, py0) = (*columns.start(), *rows.start());
+        let (px0, py0) = (columns.start, rows.start);
         let (dz1, dz2) = (i64::from(b.depth - a.depth), i64::from(c.depth - a.depth));
         // Plane through the corners: depth slopes a pixel.
         let by = Reciprocal::new(area);
@@ -72,19 +72,17 @@ impl DepthPicture {
         let mut row_depth =
             (i64::from(a.depth) << SLOPE_BITS) + ((sx * ox + sy * oy) >> PX_BITS) + (1 << (SLOPE_BITS - 1));
         let mut row_edge = [0, 1, 2].map(|i: usize| edges[i].at(px0, py0));
-        let looked_at = columns.clone().count() * rows.clone().count();
+        let looked_at = columns.len() * rows.len();
         for y in rows {
             let (mut depth, mut e) = (row_depth, row_edge);
             let start = y as usize * self.width;
-            for x in columns.clone() {
-                if (e[0] | e[1] | e[2]) >= 0 {
-                    let at = start + x as usize;
-                    let d = (depth >> SLOPE_BITS) as i32;
-                    if d < self.depth[at] {
-                        self.depth[at] = d;
-                        self.triangle[at] = index;
-                    }
-                }
+            let pixels = start + columns.start as usize..start + columns.end as usize;
+            for (nearest, triangle) in self.depth[pixels.clone()].iter_mut().zip(&mut self.triangle[pixels]) {
+                // Without a branch: what is inside is hard to foresee.
+                let d = (depth >> SLOPE_BITS) as i32;
+                let is_seen = ((e[0] | e[1] | e[2]) >= 0) & (d < *nearest);
+                *nearest = if is_seen { d } else { *nearest };
+                *triangle = if is_seen { index } else { *triangle };
                 for (e, edge) in e.iter_mut().zip(&edges) {
                     *e += edge.dx;
                 }

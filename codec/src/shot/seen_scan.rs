@@ -37,7 +37,7 @@ impl SeenScan {
     pub fn against(&self, model: &Model, motion: &Motion) -> Self {
         let placed = Placed { window: self.placed.window, motion: motion.clone() };
         let drawn = Drawn::new(model, motion, &placed.window);
-        let model_depth = without_nothing(continued_depth(&drawn.picture));
+        let model_depth = continued_depth(&drawn.picture);
         let residual = (0..self.mask.len())
             .map(|i| if self.mask[i] { self.depth(i).saturating_sub(model_depth[i]) } else { 0 })
             .collect();
@@ -69,14 +69,8 @@ impl Expected {
             expected_pixels(&offsets, references, [width, height])
         };
         let mask = Expectation { width, height, level };
-        Self { model_depth: without_nothing(depth), mask, residual }
+        Self { model_depth: depth, mask, residual }
     }
-}
-
-/// A model that is not seen at all lies at depth 0.
-fn without_nothing(mut depth: Vec<i32>) -> Vec<i32> {
-    depth.iter_mut().filter(|d| **d == NOTHING).for_each(|d| *d = 0);
-    depth
 }
 
 /// How surely each pixel is on the surface: the mean of bilinear shares of the references' masks; and its residual: the
@@ -155,6 +149,18 @@ impl Found {
                 };
                 (0..).zip(row).for_each(|(i, r)| *r = i32::from(is_on(x0 + i, y0 + j)));
             }
+        }
+        let residuals = |y: usize| {
+            let at = (y0 as i64 + (y + below) as i64) as usize * width + (i64::from(x0) + right as i64) as usize;
+            &reference.residual[at..at + BLOCK]
+        };
+        if is_inside && around.iter().sum::<i32>() == around.len() as i32 {
+            for (y, sums) in self.sum.chunks_exact_mut(BLOCK).enumerate() {
+                sums.iter_mut().zip(residuals(y)).for_each(|(sum, r)| *sum += i64::from(*r));
+            }
+            self.share.iter_mut().for_each(|share| *share += 1 << 16);
+            self.count.iter_mut().for_each(|count| *count += 1);
+            return;
         }
         for y in 0..BLOCK {
             let rows = [y, y + 1].map(|y| &around[y * (BLOCK + 1)..(y + 1) * (BLOCK + 1)]);

@@ -18,7 +18,7 @@ mod transform;
 
 pub use carried::Source;
 pub use offsets::{BLOCK, NOWHERE, Offsets};
-pub use planes::{LEVEL_BITS, Planes};
+pub use planes::{LEVEL_BITS, Planes, continue_unknown};
 pub use shifts::Shifts;
 
 use crate::Result;

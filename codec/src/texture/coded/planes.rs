@@ -82,13 +82,23 @@ fn rounded(value: i32, bits: u32) -> u8 {
     ((value + (1 << (bits - 1))) >> bits).clamp(0, 255) as u8
 }
 
-/// Gives pixels that are [`NOT_YET`] the nearest value of their row (the later one of two alike), rows without any the
-/// nearest row that has one (the earlier of two alike); a plane without any becomes middle grey.
+/// As [`continue_unknown`] for pixels that are [`NOT_YET`]; a plane without any becomes middle grey.
 pub fn continue_outside(pixels: &mut [i16], width: usize) {
+    if !continue_unknown(pixels, width, NOT_YET) {
+        pixels.fill(128 << LEVEL_BITS);
+    }
+}
+
+/// Gives pixels that are `unknown` the nearest value of their row (the later one of two alike), rows without any the
+/// nearest row that has one (the earlier of two alike). False when there is none at all.
+///
+/// # Panics
+/// When the pixels are no whole rows.
+pub fn continue_unknown<T: Copy + PartialEq>(pixels: &mut [T], width: usize, unknown: T) -> bool {
     let height = pixels.len() / width;
     let mut filled: Option<usize> = None;
     for y in 0..height {
-        if !continue_row(&mut pixels[y * width..(y + 1) * width]) {
+        if !continue_row(&mut pixels[y * width..(y + 1) * width], unknown) {
             continue;
         }
         for above in filled.map_or(0, |f| f + 1)..y {
@@ -97,20 +107,19 @@ pub fn continue_outside(pixels: &mut [i16], width: usize) {
         }
         filled = Some(y);
     }
-    match filled {
-        Some(f) => (f + 1..height).for_each(|y| pixels.copy_within(f * width..(f + 1) * width, y * width)),
-        None => pixels.fill(128 << LEVEL_BITS),
-    }
+    let Some(last) = filled else { return false };
+    (last + 1..height).for_each(|y| pixels.copy_within(last * width..(last + 1) * width, y * width));
+    true
 }
 
 /// False for a row without any value.
-fn continue_row(row: &mut [i16]) -> bool {
-    let known = |p: &i16| *p != NOT_YET;
+fn continue_row<T: Copy + PartialEq>(row: &mut [T], unknown: T) -> bool {
+    let known = |p: &T| *p != unknown;
     let Some(first) = row.iter().position(known) else { return false };
     let value = row[first];
     row[..first].fill(value);
     let mut last = first;
-    while let Some(gap) = row[last..].iter().position(|p| *p == NOT_YET).map(|n| last + n) {
+    while let Some(gap) = row[last..].iter().position(|p| *p == unknown).map(|n| last + n) {
         let before = row[gap - 1];
         match row[gap..].iter().position(known).map(|n| gap + n) {
             Some(end) => {
