@@ -269,14 +269,7 @@ impl LevelModels {
 
     /// Levels of `coefficients`, whose block has `squares` as the sum of its squared pixels, for about the least squared error + `lambda` x bits, and that sum: in coding order each takes
     /// the cheapest, then the last diagonals go as long as that pays.
-    pub fn choose(
-        &self,
-        shape: &Shape,
-        coefficients: &[f32],
-        squares: f32,
-        step: f32,
-        lambda: f32,
-    ) -> (Levels, f32) {
+    pub fn choose(&self, shape: &Shape, coefficients: &[f32], squares: f32, step: f32, lambda: f32) -> (Levels, f32) {
         let side = shape.side;
         let mut values = vec![0_i32; side * side];
         let per_cost = lambda / 256.0;
