@@ -51,7 +51,7 @@ const fn zigzag() -> [u8; AREA] {
 const ORTHONORMAL: [[f32; SIDE]; SIDE] = orthonormal();
 
 const fn orthonormal() -> [[f32; SIDE]; SIDE] {
-    const ROOT_8: f32 = 2.828_427;
+    const ROOT_8: f32 = 2.0 * std::f32::consts::SQRT_2;
     let mut m = [[0.0; SIDE]; SIDE];
     let mut k = 0;
     while k < AREA {

@@ -67,8 +67,8 @@ const fn half_matrix<const HALF: usize, const KEPT_HALF: usize>(odd: usize, root
     m
 }
 
-const ROOT_8: f32 = 2.828_427;
-const ROOT_32: f32 = 5.656_854_2;
+const ROOT_8: f32 = 2.0 * std::f32::consts::SQRT_2;
+const ROOT_32: f32 = 4.0 * std::f32::consts::SQRT_2;
 static HALVES_8: [[[f32; 4]; 4]; 2] = [half_matrix(0, ROOT_8), half_matrix(1, ROOT_8)];
 static HALVES_16: [[[f32; 8]; 8]; 2] = [half_matrix(0, 4.0), half_matrix(1, 4.0)];
 static HALVES_32: [[[f32; 8]; 16]; 2] = [half_matrix(0, ROOT_32), half_matrix(1, ROOT_32)];
