@@ -30,7 +30,7 @@ const PATCH_STEP_SHARE: f64 = 4.0;
 /// Squared tolerances that a bit of the lattice may cost.
 const LATTICE_WORTH: f64 = 0.6;
 /// Squared tolerances, summed over pixels, that a bit of a keyframe's patches may cost: they last.
-const KEY_WORTH: f64 = 4.2;
+const KEY_WORTH: f64 = 4.6;
 /// The same for scans between keyframes.
 const BETWEEN_WORTH: f64 = 25.0;
 /// Farther than this from the nearest decoded scan, in ticks, a scan is first found by its tracked points.

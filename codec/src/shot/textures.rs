@@ -26,7 +26,7 @@ pub struct TextureSteps {
 
 impl Default for TextureSteps {
     fn default() -> Self {
-        Self { alone: 160, key: 160, between: 680 }
+        Self { alone: 160, key: 160, between: 720 }
     }
 }
 
