@@ -7,7 +7,7 @@ use gv3_codec::shot::anchors::Anchors;
 use gv3_codec::shot::as_scan::as_scan;
 use gv3_codec::shot::camera::ShotCamera;
 use gv3_codec::shot::encoder::{Encoder, ShotConfig};
-use gv3_codec::shot::group::{Chain, Parts};
+use gv3_codec::shot::group::{Chain, Parts, Wanted};
 use gv3_codec::shot::register::{RegisterOptions, register};
 use gv3_codec::shot::scan_image::ScanImage;
 use gv3_codec::shot::steps::Steps;
@@ -100,7 +100,7 @@ fn bench(c: &mut Criterion) {
         b.iter(|| black_box(&parts).decode_key(&steps, Some(&before)));
     });
     group.bench_function("decode of nine scans between", |b| {
-        b.iter(|| black_box(&parts).decode_between(&steps, Some(&before), &after));
+        b.iter(|| black_box(&parts).decode_between(&steps, Some(&before), &after, Wanted::All));
     });
     group.bench_function("as_scan", |b| b.iter(|| as_scan(&after.model, black_box(key))));
     group.bench_function("register without tracked points", |b| {

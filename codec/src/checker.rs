@@ -1,6 +1,6 @@
 //! Decodes the groups of a run one after another, for the errors alone.
 
-use crate::shot::group::Parts;
+use crate::shot::group::{Parts, Wanted};
 use crate::shot::link::Link;
 use crate::shot::textures::Pictures;
 use crate::texture::decode_key_texture;
@@ -34,7 +34,7 @@ impl Checker {
                 let parts = Parts::read(&self.header, geometry)?;
                 let pictures = texture.map(|t| Pictures::read(t, parts.stamps.len() - 1)).transpose()?;
                 let after = Link::after(&parts, pictures.as_ref(), before.as_ref(), self.groups, &steps)?;
-                for shown in after.show(&parts, pictures.as_ref(), before.as_ref(), &steps)? {
+                for shown in after.show(&parts, pictures.as_ref(), before.as_ref(), &steps, Wanted::All)? {
                     shown.texture()?;
                 }
                 self.link = Some(after);

@@ -4,7 +4,7 @@
 use gv3_codec::metrics::compare;
 use gv3_codec::shot::as_scan::as_scan;
 use gv3_codec::shot::encoder::ShotConfig;
-use gv3_codec::shot::group::{Parts, Start};
+use gv3_codec::shot::group::{Parts, Start, Wanted};
 use gv3_codec::shot::link::Link;
 use gv3_codec::shot::scan_image::ScanImage;
 use gv3_codec::shot::seen_scan::SeenScan;
@@ -42,7 +42,7 @@ static DECODED: LazyLock<Vec<Shown>> = LazyLock::new(|| {
     for (i, group) in RUN.groups.iter().enumerate() {
         let parts = Parts::read(&RUN.header, &group.geometry).unwrap();
         let after = Link::after(&parts, None, before.as_ref(), i, &steps).unwrap();
-        scans.extend(after.show(&parts, None, before.as_ref(), &steps).unwrap());
+        scans.extend(after.show(&parts, None, before.as_ref(), &steps, Wanted::All).unwrap());
         before = Some(after);
     }
     scans
@@ -59,7 +59,7 @@ fn places_alone_are_those_of_the_scans() {
     for (i, group) in RUN.groups.iter().enumerate() {
         let parts = Parts::read(&RUN.header, &group.geometry).unwrap();
         let after = Link::after(&parts, None, before.as_ref(), i, &steps).unwrap();
-        placed.extend(after.show_places(&parts, before.as_ref(), &steps).unwrap());
+        placed.extend(after.show(&parts, None, before.as_ref(), &steps, Wanted::Places).unwrap());
         before = Some(after);
     }
     assert_eq!(placed.len(), DECODED.len());

@@ -2,7 +2,7 @@
 
 use gv3_codec::decode_stamps;
 use gv3_codec::seed::{Flattened, decode_group};
-use gv3_codec::shot::group::Parts;
+use gv3_codec::shot::group::{Parts, Wanted};
 use gv3_codec::shot::link::Link;
 use gv3_codec::shot::steps::Steps;
 use gv3_codec::shot::textures::Pictures;
@@ -87,7 +87,7 @@ fn decode(index: usize, group: &[u8], textures: Option<&[u8]>, before: Option<&L
     let parts = Parts::read(&header, group)?;
     let pictures = textures.map(|t| Pictures::read(t, parts.stamps.len() - 1)).transpose()?;
     let after = Link::after(&parts, pictures.as_ref(), before, index, &steps)?;
-    for shown in after.show(&parts, pictures.as_ref(), before, &steps)? {
+    for shown in after.show(&parts, pictures.as_ref(), before, &steps, Wanted::All)? {
         let Some(scan) = &shown.scan else { unreachable!("scans are decoded") };
         let pixels = scan.placed.window.width * scan.placed.window.height;
         assert!(scan.mask.len() == pixels && scan.residual.len() == pixels);

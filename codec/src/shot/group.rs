@@ -80,13 +80,27 @@ impl Chain {
     }
 }
 
-/// The decoded scans between two keyframes.
+/// The scans between two keyframes, as far as they are decoded.
 #[derive(Debug, Clone, Default)]
 pub struct Between {
-    /// In time order; they move the model of the keyframe before.
-    pub scans: Vec<(Stamp, Arc<SeenScan>)>,
-    /// The keyframe after them against that model; none where another shot begins.
+    /// Where they are and what they show, in time order; they move the model of the keyframe before.
+    pub scans: Vec<(Stamp, PlacedScan)>,
+    /// The keyframe after them against that model; none where another shot begins, or nothing but places was wanted.
     pub end: Option<Arc<SeenScan>>,
+}
+
+/// Where a scan is, and what it shows if that is decoded.
+pub type PlacedScan = (Arc<Placed>, Option<Arc<SeenScan>>);
+
+/// How much of the scans between is decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wanted {
+    /// Where they are.
+    Places,
+    /// Also what that of a tick shows, and those coded before it.
+    UpTo(u64),
+    /// Everything.
+    All,
 }
 
 /// A group taken apart, its range-coded sections not yet decoded.
@@ -181,20 +195,6 @@ impl<'a> Parts<'a> {
         Ok(Chain { models, ..chain }.advance(tick, Arc::new(scan)))
     }
 
-    /// Decodes where the scans between are, in time order; `before` and `after` are the chains at the keyframes around them.
-    ///
-    /// # Errors
-    /// [`crate::CodecError`] when bytes do not fit, or the chain is missing.
-    pub fn decode_places(&self, steps: &Steps, before: Option<&Chain>, after: &Chain) -> Result<Vec<(Stamp, Placed)>> {
-        let stamps = &self.stamps[..self.stamps.len() - 1];
-        if stamps.is_empty() {
-            return Ok(Vec::new());
-        }
-        let mut places = self.places(steps, before, after)?.placed;
-        let ticks = stamps.iter().map(|s| (*s, places.remove(&s.tick).unwrap_or_default()));
-        Ok(ticks.collect())
-    }
-
     /// The part of the section between that says where scans are.
     fn places(&self, steps: &Steps, before: Option<&Chain>, after: &Chain) -> Result<Places<'a>> {
         let stamps = &self.stamps[..self.stamps.len() - 1];
@@ -233,15 +233,28 @@ impl<'a> Parts<'a> {
         Ok(Places { reader, models, order, end, placed: decoded.placed })
     }
 
-    /// Decodes the scans between, in time order; `before` and `after` are the chains at the keyframes around them.
+    /// Decodes the scans between; `before` and `after` are the chains at the keyframes around them.
     ///
     /// # Errors
     /// [`crate::CodecError`] when bytes do not fit, or the chain is missing.
-    pub fn decode_between(&self, steps: &Steps, before: Option<&Chain>, after: &Chain) -> Result<Between> {
+    pub fn decode_between(
+        &self,
+        steps: &Steps,
+        before: Option<&Chain>,
+        after: &Chain,
+        wanted: Wanted,
+    ) -> Result<Between> {
         let stamps = &self.stamps[..self.stamps.len() - 1];
         let Some(before) = before.filter(|_| !stamps.is_empty()) else { return self.without_between() };
-        let Places { mut reader, mut models, order, end: motion, mut placed } =
-            self.places(steps, Some(before), after)?;
+        let Places { mut reader, mut models, order, end: motion, placed } = self.places(steps, Some(before), after)?;
+        let places = |scans: Vec<Option<Arc<SeenScan>>>| {
+            let placed = stamps.iter().map(|s| Arc::new(placed[&s.tick].clone()));
+            stamps.iter().copied().zip(placed.zip(scans)).collect()
+        };
+        let mut scans: Vec<Option<Arc<SeenScan>>> = vec![None; stamps.len()];
+        if wanted == Wanted::Places {
+            return Ok(Between { scans: places(scans), end: None });
+        }
         let context = Context { model: &before.model, steps };
         let key_tick = self.key_stamp().tick;
         let key = &after.keys.scans[&key_tick];
@@ -253,17 +266,19 @@ impl<'a> Parts<'a> {
         if let Some(bridge) = &bridge {
             decoded.insert(key_tick, Arc::clone(bridge));
         }
-        let mut scans: Vec<Option<Arc<SeenScan>>> = vec![None; stamps.len()];
         for i in order {
             let tick = stamps[i].tick;
             let references = decoded.references(tick);
-            let place = placed.remove(&tick).unwrap_or_default();
+            let place = placed[&tick].clone();
             let scan = Arc::new(scan_code::decode(context, place, &references, (&mut reader, &mut models))?);
             decoded.scans.insert(tick, Arc::clone(&scan));
             scans[i] = Some(scan);
+            if wanted == Wanted::UpTo(tick) {
+                return Ok(Between { scans: places(scans), end: bridge });
+            }
         }
         end(reader)?;
-        Ok(Between { scans: stamps.iter().copied().zip(scans.into_iter().flatten()).collect(), end: bridge })
+        Ok(Between { scans: places(scans), end: bridge })
     }
 
     /// What a group without scans between decodes to, or without the keyframe that they follow.

@@ -1,7 +1,7 @@
 //! What holds after a group: the state that the next one is decoded from, and the scans to show.
 
 use super::bisection::Connectivity;
-use super::group::{Chain, Parts, Start};
+use super::group::{Chain, Parts, Start, Wanted};
 use super::model::Model;
 use super::order::Placed;
 use super::seen_scan::SeenScan;
@@ -48,7 +48,7 @@ impl Link {
         Ok(Self { texture: texture.map(Arc::new), chain, shot })
     }
 
-    /// Decodes the scans between and gives those of the group in time order.
+    /// Decodes the scans between as far as they are wanted, and gives those of the group in time order.
     ///
     /// # Errors
     /// As [`Self::after`].
@@ -58,33 +58,20 @@ impl Link {
         pictures: Option<&Pictures<'_>>,
         before: Option<&Self>,
         steps: &Steps,
+        wanted: Wanted,
     ) -> Result<Vec<Shown>> {
-        let between = parts.decode_between(steps, before.map(|b| &b.chain), &self.chain)?;
+        let between = parts.decode_between(steps, before.map(|b| &b.chain), &self.chain, wanted)?;
         let mut shown = Vec::with_capacity(parts.stamps.len());
         if let Some(before) = before {
             let key = before.key_picture(&before.chain.keys.scans[&before.chain.key_tick]);
             let after = between.end.as_ref().and_then(|end| self.key_picture(end));
             let keys: Arc<Vec<_>> = Arc::new(key.iter().cloned().chain(after).collect());
-            for (i, (stamp, scan)) in between.scans.into_iter().enumerate() {
+            for (i, (stamp, (placed, scan))) in between.scans.into_iter().enumerate() {
                 let bytes = pictures.map(|p| p.between[i]).filter(|b| !(b.is_empty() && keys.is_empty()));
                 let picture = bytes.map(|b| Picture::Between(b.into(), Arc::clone(&keys)));
-                shown.push(before.shown(stamp, Arc::new(scan.placed.clone()), Some(scan), picture));
+                shown.push(before.shown(stamp, placed, scan, picture));
             }
         }
-        shown.push(self.shown_key(parts.key_stamp()));
-        Ok(shown)
-    }
-
-    /// As [`Self::show`] for the tracked mesh, which asks where scans are and nothing else.
-    ///
-    /// # Errors
-    /// As [`Self::after`].
-    pub fn show_places(&self, parts: &Parts<'_>, before: Option<&Self>, steps: &Steps) -> Result<Vec<Shown>> {
-        let places = parts.decode_places(steps, before.map(|b| &b.chain), &self.chain)?;
-        let between = places.into_iter().zip(std::iter::repeat(before));
-        let mut shown: Vec<Shown> = between
-            .filter_map(|((stamp, placed), before)| Some(before?.shown(stamp, Arc::new(placed), None, None)))
-            .collect();
         shown.push(self.shown_key(parts.key_stamp()));
         Ok(shown)
     }

@@ -3,7 +3,7 @@
 use super::as_scan::{as_scan, as_scan_at};
 use super::bisection::Connectivity;
 use super::change::{Change, OnDisk};
-use super::group::{MAX_CONTINUED, Parts, Start};
+use super::group::{MAX_CONTINUED, Parts, Start, Wanted};
 use super::link::Link;
 use super::steps::Steps;
 use super::textures::Pictures;
@@ -94,31 +94,58 @@ impl Player {
         time_nanos: u64,
         fetch: Fetch<'_, E>,
     ) -> std::result::Result<Around, E> {
-        self.load(at, fetch)?;
+        self.load(at, Wanted::Places, fetch)?;
         let mut shown: Vec<Shown> = self.groups[&at].clone();
+        let mut first = at;
         if !shown.iter().any(|s| s.stamp.time_nanos == time_nanos) {
             // A neighbour is needed on both sides for the tangents.
             let index = shown.partition_point(|s| s.stamp.time_nanos <= time_nanos);
             if index < 2 && at > 0 {
-                self.load(at - 1, fetch)?;
+                self.load(at - 1, Wanted::Places, fetch)?;
                 shown.splice(0..0, self.groups[&(at - 1)].iter().cloned());
+                first = at - 1;
             }
             if index + 1 >= self.groups[&at].len() && at + 1 < self.key_times_nanos.len() {
-                self.load(at + 1, fetch)?;
+                self.load(at + 1, Wanted::Places, fetch)?;
                 shown.extend(self.groups[&(at + 1)].iter().cloned());
             }
         }
         let index = shown.partition_point(|s| s.stamp.time_nanos <= time_nanos).max(1) - 1;
+        if self.output == Output::Scan {
+            let nearest = nearest(&shown, index, time_nanos);
+            let (mut group, mut within) = (first, nearest);
+            while within >= self.groups[&group].len() {
+                within -= self.groups[&group].len();
+                group += 1;
+            }
+            self.load(group, Wanted::UpTo(shown[nearest].stamp.tick), fetch)?;
+            shown[nearest] = self.groups[&group][within].clone();
+        }
         let from = index.saturating_sub(1);
         let to = (index + 3).min(shown.len());
         Ok(Around { shown: shown[from..to].to_vec(), at: index - from })
     }
 
-    /// Decodes a group if it is not there, and forgets those far away.
-    fn load<E: From<CodecError>>(&mut self, group: usize, fetch: Fetch<'_, E>) -> Failure<E> {
-        if self.groups.contains_key(&group) {
+    /// How much of a group is decoded when `wanted` of it is asked for: all of it when play goes on from a group beside it.
+    fn worth(&self, group: usize, wanted: Wanted) -> Wanted {
+        let is_whole = |g: usize| self.groups.get(&g).is_some_and(|shown| shown.iter().all(|s| s.scan.is_some()));
+        let is_begun =
+            self.groups.get(&group).is_some_and(|shown| shown.iter().rev().skip(1).any(|s| s.scan.is_some()));
+        let goes_on = is_begun || is_whole(group + 1) || group.checked_sub(1).is_some_and(is_whole);
+        if matches!(wanted, Wanted::UpTo(_)) && goes_on { Wanted::All } else { wanted }
+    }
+
+    /// Decodes what is wanted of a group if it is not there, and forgets groups far away.
+    fn load<E: From<CodecError>>(&mut self, group: usize, wanted: Wanted, fetch: Fetch<'_, E>) -> Failure<E> {
+        let has = |shown: &Vec<Shown>| match wanted {
+            Wanted::Places => true,
+            Wanted::UpTo(tick) => shown.iter().any(|s| s.stamp.tick == tick && s.scan.is_some()),
+            Wanted::All => shown.iter().all(|s| s.scan.is_some()),
+        };
+        if self.groups.get(&group).is_some_and(has) {
             return Ok(());
         }
+        let wanted = self.worth(group, wanted);
         let (bytes, texture) = fetch(group)?;
         let parts = Parts::read(&self.header, &bytes).map_err(E::from)?;
         let before = match group.checked_sub(1).filter(|_| parts.stamps.len() > 1) {
@@ -131,11 +158,7 @@ impl Player {
         self.link(group, fetch)?;
         let pictures = pictures(texture.as_deref(), &parts).map_err(E::from)?;
         let (link, before) = (&self.chains[&group], before.as_ref());
-        let shown = match self.output {
-            Output::Scan => link.show(&parts, pictures.as_ref(), before, &self.steps),
-            Output::Mesh => link.show_places(&parts, before, &self.steps),
-        };
-        let shown = shown.map_err(E::from)?;
+        let shown = link.show(&parts, pictures.as_ref(), before, &self.steps, wanted).map_err(E::from)?;
         self.groups.insert(group, shown);
         forget(&mut self.groups, group, KEPT_GROUPS);
         Ok(())
@@ -244,14 +267,20 @@ impl Around {
     }
 }
 
+/// Index of the scan nearest to a moment: `at`, the last one not after it, or the next.
+fn nearest(shown: &[Shown], at: usize, time_nanos: u64) -> usize {
+    let distance = |s: &Shown| s.stamp.time_nanos.abs_diff(time_nanos);
+    let is_next = shown.get(at + 1).is_some_and(|next| distance(next) < distance(&shown[at]));
+    at + usize::from(is_next)
+}
+
 /// The nearest scan as it was seen, its surface moved along to the moment.
 fn show_scan(around: &Around, time_nanos: u64) -> Result<Surface> {
-    let distance = |s: &Shown| s.stamp.time_nanos.abs_diff(time_nanos);
     let here = &around.shown[around.at];
-    let nearest = around.shown.get(around.at + 1).filter(|n| distance(n) < distance(here)).unwrap_or(here);
+    let nearest = &around.shown[nearest(&around.shown, around.at, time_nanos)];
     let (same, at) = around.of_shot(here.shot);
     let Some(scan) = &nearest.scan else { return Err(CodecError::Stream("the scan was not decoded".into())) };
-    if distance(nearest) == 0 || nearest.shot != here.shot || same.len() < 2 {
+    if nearest.stamp.time_nanos == time_nanos || nearest.shot != here.shot || same.len() < 2 {
         return Ok((as_scan(&nearest.model, scan), nearest.texture()?));
     }
     let nodes = &nearest.model.connectivity;

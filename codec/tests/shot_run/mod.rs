@@ -2,7 +2,7 @@
 
 use crate::bumpy_disk::{PERIOD_NANOS, Surface, scan};
 use gv3_codec::shot::encoder::ShotConfig;
-use gv3_codec::shot::group::{Chain, Parts};
+use gv3_codec::shot::group::{Chain, Parts, Wanted};
 use gv3_codec::shot::link::Link;
 use gv3_codec::shot::model::Model;
 use gv3_codec::shot::seen_scan::SeenScan;
@@ -51,7 +51,8 @@ pub fn describe(header: &StreamHeader, bytes: &[u8], before: Option<&Chain>) -> 
     if parts.groups_since_shot().is_some() {
         describe_model(&mut out, &after.model);
     }
-    for (stamp, scan) in parts.decode_between(&steps, before, &after)?.scans {
+    for (stamp, (_, scan)) in parts.decode_between(&steps, before, &after, Wanted::All)?.scans {
+        let scan = scan.expect("all are wanted");
         describe_scan(&mut out, stamp, &scan);
     }
     let key = parts.key_stamp();
@@ -71,7 +72,7 @@ pub fn describe_textures(
     let pictures = Pictures::read(bytes, parts.stamps.len() - 1)?;
     let after = Link::after(&parts, Some(&pictures), before, index, &steps)?;
     let mut out = String::new();
-    for shown in after.show(&parts, Some(&pictures), before, &steps)? {
+    for shown in after.show(&parts, Some(&pictures), before, &steps, Wanted::All)? {
         let picture = shown.texture()?.ok_or_else(|| CodecError::Stream("no picture".into()))?;
         let levels = crc(picture.pixels.iter().map(|v| i32::from(*v)));
         writeln!(out, "tick {} size_px {} {} grey {levels:08x}", shown.stamp.tick, picture.width_px, picture.height_px)
