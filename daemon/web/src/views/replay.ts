@@ -193,9 +193,13 @@ class ReplayView implements View {
     const first = sides[0]!;
     this.playback =
       sides.length > 1
-        ? new PairPlayer(client, sides, startSeconds, { mesh: (side, mesh) => this.show(side, mesh), changed, fault })
+        ? new PairPlayer(client, sides, startSeconds, {
+            mesh: (side, mesh, isLate) => this.show(side, mesh, isLate),
+            changed,
+            fault,
+          })
         : new Player(client, first.session, this.output, first.lengthSeconds, startSeconds, {
-            mesh: (mesh) => this.show(0, mesh),
+            mesh: (mesh, isLate) => this.show(0, mesh, isLate),
             changed,
             fault,
           });
@@ -224,13 +228,13 @@ class ReplayView implements View {
     this.legend.hide();
   }
 
-  private show(side: number, { message, picture }: DecodedMesh): void {
+  private show(side: number, { message, picture }: DecodedMesh, isLate: boolean): void {
     const viewer = this.viewers[side];
-    if (!viewer?.show(message, picture)) {
+    if (!viewer?.show(message, picture, isLate)) {
       picture?.close();
       return;
     }
-    if (side > 0) return;
+    if (side > 0 || isLate) return;
     const unit = SCALAR_UNITS[this.look];
     const name = LOOK_NAMES.find(([look]) => look === this.look)![1];
     if (!unit) return;
