@@ -87,9 +87,11 @@ test("memory", async ({ browser, page, daemon }) => {
 async function rendererMib(browser: Browser): Promise<number> {
   const devtools = await browser.newBrowserCDPSession();
   const { processInfo } = await devtools.send("SystemInfo.getProcessInfo");
-  const own = processInfo.filter(({ type }) => type === "renderer").map(({ id }) => {
-    const rollup = readFileSync(`/proc/${id}/smaps_rollup`, "utf8");
-    return [...rollup.matchAll(/^Private_\w+: +(\d+) kB$/gm)].reduce((sum, m) => sum + Number(m[1]), 0);
-  });
+  const own = processInfo
+    .filter(({ type }) => type === "renderer")
+    .map(({ id }) => {
+      const rollup = readFileSync(`/proc/${id}/smaps_rollup`, "utf8");
+      return [...rollup.matchAll(/^Private_\w+: +(\d+) kB$/gm)].reduce((sum, m) => sum + Number(m[1]), 0);
+    });
   return Math.max(...own) / 1024;
 }

@@ -123,7 +123,7 @@ class ReplayView implements View {
       h("h1", { class: "visually-hidden" }, `Replay of ${this.sessions.map((s) => s.name).join(" and ")}`),
       this.toolbar(names),
       stages,
-      h("div", { class: "panel player" }, this.timeline.element, this.transport.element),
+      this.player(),
     );
     for (const [k, s] of this.sessions.entries()) {
       const tolerance = s.tolerance_mm != null ? ` · tolerance ${mm(s.tolerance_mm)}` : "";
@@ -164,12 +164,22 @@ class ReplayView implements View {
       this.outputs.element,
       this.looks.element,
       stereo.element,
-      button("Whole", () => this.orbit.reset(), { title: "Show all of it from the front (0)" }),
-      button("PNG", () => void this.savePicture(), { title: "Save the picture" }),
+    );
+  }
+
+  /** Below the surface, where there is room at any width. */
+  private player(): HTMLElement {
+    const line = h(
+      "div",
+      { class: "player-line" },
+      this.transport.element,
       h("span", { class: "spring" }),
       this.stale.element,
       this.rate,
+      button("Whole", () => this.orbit.reset(), { title: "Show all of it from the front (0)" }),
+      button("PNG", () => void this.savePicture(), { title: "Save the picture" }),
     );
+    return h("div", { class: "panel player" }, this.timeline.element, line);
   }
 
   private go(name: string, other?: string): void {
