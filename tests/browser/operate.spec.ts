@@ -40,7 +40,9 @@ test("says what is plugged in and what the doctor finds", async ({ page, daemon 
   await open(page, daemon, "#/operate");
   await expect(page.locator(".devices li").first()).toBeVisible();
   await page.getByRole("button", { name: "Examine" }).click();
-  await expect(page.locator(".checks li").first()).toBeVisible({ timeout: 60_000 });
+  // It needs the devices for itself: a daemon whose scanner runs says why it does not.
+  const answer = page.locator(".checks li").or(page.getByRole("alert").filter({ hasText: /doctor|scanner/ }));
+  await expect(answer.first()).toBeVisible({ timeout: 60_000 });
 });
 
 test("keys work, are listed, and can be turned off", async ({ page, daemon }) => {
