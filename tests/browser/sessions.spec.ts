@@ -3,9 +3,13 @@ import { expect, FIRST, open, SECOND, test } from "./fixtures";
 /** Jobs make way for everything else on the machine. */
 const JOB = { timeout: 180_000 };
 
+const pictureWidth = (picture: HTMLElement | SVGElement) => (picture as HTMLImageElement).naturalWidth;
+
 test("lists sessions and renames one", async ({ page, daemon }) => {
   await open(page, daemon, "#/sessions");
   await expect(page.getByRole("row").filter({ hasText: FIRST }).first()).toBeVisible();
+  const width = () => page.getByRole("row").filter({ hasText: FIRST }).first().locator("img").evaluate(pictureWidth);
+  await expect.poll(width).toBeGreaterThan(0);
   const rename = async (from: string, to: string) => {
     await page.getByRole("button", { name: `More… ${from}`, exact: true }).click();
     await page.getByRole("button", { name: "Rename…" }).click();

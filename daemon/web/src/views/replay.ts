@@ -127,7 +127,8 @@ class ReplayView implements View {
     );
     for (const [k, s] of this.sessions.entries()) {
       const tolerance = s.tolerance_mm != null ? ` · tolerance ${mm(s.tolerance_mm)}` : "";
-      const text = `${s.name} · ${count(s.scans)} scans · ${bytes(s.bytes)} · ${ratio(s.ratio)}${tolerance}`;
+      const smaller = s.ratio ? ` · ${ratio(s.ratio)}` : "";
+      const text = `${s.name} · ${count(s.scans)} scans · ${bytes(s.bytes)}${smaller}${tolerance}`;
       setText(this.captions[k]!, text);
     }
     this.timeline.describe(this.sessions[0]!, this.seconds());
