@@ -29,6 +29,7 @@ for (const theme of ["dark", "light"] as const) {
       expect(serious.map((v) => `${v.id}: ${v.nodes.map((n) => n.html).join(" | ")}`)).toEqual([]);
       if (process.env["GV3_SCREENSHOTS"] && info.project.name === (process.env["GV3_SCREENSHOTS_OF"] ?? "gv3")) {
         mkdirSync(SCREENSHOTS, { recursive: true });
+        await page.waitForFunction(() => [...document.images].every((picture) => picture.complete));
         await page.screenshot({ path: join(SCREENSHOTS, `${name}-${theme}.jpg`), type: "jpeg", quality: 80 });
       }
     });

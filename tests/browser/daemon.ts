@@ -34,18 +34,17 @@ async function until(what: string, ready: () => Promise<boolean>): Promise<void>
 
 /** `gv3 serve` on a folder of its own. */
 export class RealDaemon implements Daemon {
-  readonly folder = mkdtempSync(join(tmpdir(), "gv3-browser-"));
   url = "";
   private child: ChildProcess | null = null;
 
-  /** `more` are further arguments; `prepare` may put sessions and files into the folder first. */
+  /** `more` are further arguments; `folder` is where sessions are. */
   constructor(
     private readonly more: string[] = ["--sim"],
-    private readonly host = "127.0.0.1",
+    readonly folder = mkdtempSync(join(tmpdir(), "gv3-browser-")),
   ) {}
 
   async start(): Promise<this> {
-    const listen = this.url ? new URL(this.url).host : `${this.host}:${await freePort()}`;
+    const listen = this.url ? new URL(this.url).host : `127.0.0.1:${await freePort()}`;
     const args = ["serve", ...this.more, "--sessions", this.folder, "--listen", listen];
     this.child = spawn(process.env["GV3_BIN"] ?? "gv3", args, { stdio: ["ignore", "inherit", "inherit"] });
     this.url = `http://${listen}/`;

@@ -9,15 +9,18 @@ import { MockDaemon, RealDaemon, type Daemon } from "./daemon";
 export const FIRST = "smile";
 export const SECOND = "smile-coarse";
 
-/** A short session of the simulated scanner, made once. */
-function recorded(): string {
+/** A short session of the simulated scanner, and its scans coded once more with a coarser tolerance; made once. */
+function recorded(): Record<string, string> {
   const folder = join(tmpdir(), `gv3-browser-demo-${process.pid}`);
-  const path = join(folder, "demo.gv3");
-  if (!existsSync(path)) {
-    execFileSync(process.env["GV3_BIN"] ?? "gv3", ["demo", "--seconds", "1", "--out", folder], { stdio: "inherit" });
-    process.on("exit", () => rmSync(folder, { recursive: true, force: true }));
-  }
-  return path;
+  const made = { [FIRST]: join(folder, "demo.gv3"), [SECOND]: join(folder, "coarse.gv3") };
+  if (existsSync(folder)) return made;
+  process.on("exit", () => rmSync(folder, { recursive: true, force: true }));
+  const gv3 = (...args: string[]) => execFileSync(process.env["GV3_BIN"] ?? "gv3", args, { stdio: "pipe" });
+  const scans = join(folder, "scans");
+  gv3("demo", "--seconds", "1", "--out", folder);
+  gv3("decode", made[FIRST]!, "--format", "ply", "--out", scans);
+  gv3("encode", scans, "--tolerance-mm", "0.5", "--out", made[SECOND]!);
+  return made;
 }
 
 /** A daemon a file of tests, with two sessions, and pages that report their own faults. */
@@ -48,7 +51,7 @@ export const test = base.extend<{ faults: string[] }, { daemon: Daemon }>({
 
 async function realWithSessions(): Promise<RealDaemon> {
   const daemon = new RealDaemon();
-  for (const name of [FIRST, SECOND]) cpSync(recorded(), join(daemon.folder, `${name}.gv3`));
+  for (const [name, path] of Object.entries(recorded())) cpSync(path, join(daemon.folder, `${name}.gv3`));
   return daemon.start();
 }
 

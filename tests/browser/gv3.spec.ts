@@ -1,4 +1,4 @@
-import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { existsSync, mkdtempSync, readFileSync, rmSync, statfsSync, writeFileSync } from "node:fs";
 import { execFileSync } from "node:child_process";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
@@ -6,6 +6,8 @@ import { RealDaemon } from "./daemon";
 import { expect, test } from "./fixtures";
 
 const RIG = join(__dirname, "../../config/simulated.toml");
+/** A disk that others rarely write to. */
+const MEMORY_DISK = "/dev/shm";
 
 test("a token is asked for, and a wrong one refused in words", async ({ page }) => {
   const folder = mkdtempSync(join(tmpdir(), "gv3-token-"));
@@ -24,21 +26,30 @@ test("a token is asked for, and a wrong one refused in words", async ({ page }) 
   rmSync(folder, { recursive: true });
 });
 
-test("a disk that is down to its floor is not recorded to, in words", async ({ page }) => {
-  const folder = mkdtempSync(join(tmpdir(), "gv3-full-"));
+test("a disk that fills up ends the recording, and no other begins, in words", async ({ page }) => {
+  test.skip(!existsSync(MEMORY_DISK), `there is no ${MEMORY_DISK} to fill`);
+  const folder = mkdtempSync(join(MEMORY_DISK, "gv3-full-"));
   const rig = join(folder, "rig.toml");
-  // More than any disk has.
-  writeFileSync(rig, `${readFileSync(RIG, "utf8")}\n[sessions]\nfree_floor_bytes = 1000000000000000000\n`);
-  const daemon = await new RealDaemon(["--config", rig]).start();
+  const { bavail, bsize } = statfsSync(folder);
+  const floor = bavail * bsize - (64 << 20);
+  writeFileSync(
+    rig,
+    `${readFileSync(RIG, "utf8")}\n[sessions]\nfree_floor_bytes = ${floor}\nfree_floor_percent = 0.0\n`,
+  );
+  const daemon = await new RealDaemon(["--config", rig], join(folder, "sessions")).start();
   await page.goto(daemon.url);
+  await page.getByLabel("Name of the next recording").fill("until-full");
+  await page.getByRole("button", { name: "Record", exact: true }).click();
+  await expect(page.locator(".state")).toHaveText("Recording");
+  await page.waitForTimeout(1000);
+  writeFileSync(join(folder, "filler"), Buffer.alloc(128 << 20));
+  await expect(page.getByRole("alert").filter({ hasText: "are free" }).first()).toBeVisible();
+  await expect(page.locator(".state")).not.toHaveText("Recording");
   await expect(page.getByText("below the floor")).toBeVisible();
   await page.getByRole("button", { name: "Record", exact: true }).click();
-  await expect(
-    page
-      .getByRole("alert")
-      .filter({ hasText: /free|full|floor/ })
-      .first(),
-  ).toBeVisible();
+  await expect(page.getByRole("alert").filter({ hasText: "lower the floor" }).last()).toBeVisible();
+  await page.keyboard.press("s");
+  await expect(page.getByRole("row").filter({ hasText: "until-full" }).locator(".badge")).toHaveText("complete");
   await daemon.stop();
   rmSync(folder, { recursive: true });
 });

@@ -26,13 +26,23 @@ test("previews, records, marks, stops, and the session is there", async ({ page,
   await expect(page.getByRole("link", { name, exact: true })).toBeVisible();
   await page.getByRole("button", { name: `Replay ${name}` }).click();
   await expect.poll(() => drawnShare(page, "canvas.surface"), { timeout: 60_000 }).toBeGreaterThan(0.05);
+  await expect(page.locator(".timeline-marks .mark")).toHaveAttribute("title", /laughs/);
+
+  await page.keyboard.press("s");
+  await page.getByRole("button", { name: `More… ${name}`, exact: true }).click();
+  await page.getByRole("button", { name: "Delete…" }).click();
+  await page.getByRole("button", { name: "Delete", exact: true }).click();
+  await expect(page.getByText(`${name} deleted`)).toBeVisible();
+  await expect(page.getByRole("link", { name, exact: true })).toBeHidden();
 });
 
 test("says what is plugged in and what the doctor finds", async ({ page, daemon }) => {
   await open(page, daemon, "#/operate");
   await expect(page.locator(".devices li").first()).toBeVisible();
   await page.getByRole("button", { name: "Examine" }).click();
-  await expect(page.locator(".checks li").first()).toBeVisible({ timeout: 60_000 });
+  // It needs the devices for itself: a daemon whose scanner runs says why it does not.
+  const answer = page.locator(".checks li").or(page.getByRole("alert").filter({ hasText: /doctor|scanner/ }));
+  await expect(answer.first()).toBeVisible({ timeout: 60_000 });
 });
 
 test("keys work, are listed, and can be turned off", async ({ page, daemon }) => {

@@ -8,6 +8,7 @@ import { Announcer } from "../src/ui/announce";
 import { Keys } from "../src/ui/keys";
 import { StaleMark } from "../src/ui/stale";
 import { choices } from "../src/ui/dom";
+import { FakeSocket } from "./fake_socket";
 
 afterEach(() => {
   vi.unstubAllGlobals();
@@ -59,26 +60,6 @@ it("the mock daemon refuses what the daemon refuses", () => {
 });
 
 describe("a socket", () => {
-  class FakeSocket {
-    static all: FakeSocket[] = [];
-    static OPEN = 1;
-    readyState = 0;
-    binaryType = "";
-    onopen: (() => void) | null = null;
-    onmessage: ((event: { data: unknown }) => void) | null = null;
-    onclose: ((event: { reason: string }) => void) | null = null;
-    sent: string[] = [];
-    constructor(readonly url: string) {
-      FakeSocket.all.push(this);
-    }
-    send(text: string) {
-      this.sent.push(text);
-    }
-    close() {
-      this.readyState = 3;
-    }
-  }
-
   beforeEach(() => {
     FakeSocket.all = [];
     vi.useFakeTimers();

@@ -1,7 +1,11 @@
-import { describe, expect, it } from "vitest";
+import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
+import { meshMessage } from "../mock/face.mjs";
+import { Client } from "../src/api/client";
 import { advance, Barrier } from "../src/replay/lock_step";
+import { Player } from "../src/replay/player";
 import { neighbourSpeed, SPEEDS } from "../src/replay/transport";
 import { sparkPath } from "../src/plot/sparkline";
+import { FakeSocket } from "./fake_socket";
 
 describe("a clock", () => {
   const pace = { speed: 0.5, reverse: false, loop: false, lengthSeconds: 2 };
@@ -45,4 +49,57 @@ it("speeds step from one to the next and stay within", () => {
 it("a small curve breaks where there is nothing", () => {
   expect(sparkPath([1, null, 1]).match(/M/g)?.length).toBe(2);
   expect(sparkPath([null, null])).toBe("");
+});
+
+describe("a replay", () => {
+  beforeEach(() => {
+    FakeSocket.all = [];
+    vi.stubGlobal("WebSocket", FakeSocket);
+    vi.stubGlobal("createImageBitmap", async () => ({ close: () => undefined }));
+  });
+  afterEach(() => {
+    vi.unstubAllGlobals();
+  });
+
+  it("does not jump back by pictures that were under way when it was sought", async () => {
+    const shown: [number, boolean][] = [];
+    const mesh = ({ message }: { message: { timeSeconds: number } }, isLate: boolean) =>
+      shown.push([message.timeSeconds, isLate]);
+    const handlers = { mesh, changed: () => undefined, fault: (error: unknown) => expect(error).toBeNull() };
+    const player = new Player(new Client(), "s", "scan", 10, 2, handlers);
+    const socket = FakeSocket.all[0]!;
+    socket.readyState = 1;
+    socket.onopen!();
+    let sequence = 0;
+    const send = async (seconds: number) => {
+      const { buffer, byteOffset, length } = meshMessage({
+        sequence: (sequence += 1),
+        seconds,
+        maxVertices: 100,
+        scalars: "none",
+        full: true,
+      });
+      socket.onmessage!({ data: buffer.slice(byteOffset, byteOffset + length) });
+      await new Promise((resolve) => setTimeout(resolve));
+    };
+    // The daemon's own beginning, then what was asked for.
+    await send(0);
+    await send(2);
+    player.play();
+    player.seek(7);
+    await send(2.03);
+    expect(player.timeSeconds).toBe(7);
+    // A second place while the first is owed.
+    player.seek(5);
+    await send(7);
+    await send(7.03);
+    expect(player.timeSeconds).toBe(5);
+    await send(5);
+    await send(5.03);
+    expect(player.timeSeconds).toBe(5.03);
+    const late = shown.filter(([, isLate]) => isLate).map(([seconds]) => seconds);
+    expect(late).toEqual([0, 2.03, 7.03]);
+    expect(socket.sent.filter((text) => text.includes("ack")).length).toBe(sequence);
+    player.close();
+  });
 });

@@ -35,7 +35,7 @@ export class PairPlayer implements Playback {
     private readonly sides: Side[],
     startSeconds: number,
     private readonly handlers: {
-      mesh: (side: number, mesh: DecodedMesh) => void;
+      mesh: (side: number, mesh: DecodedMesh, isLate: boolean) => void;
       changed: () => void;
       fault: (error: unknown) => void;
     },
@@ -46,7 +46,7 @@ export class PairPlayer implements Playback {
     this.channels = sides.map(
       ({ session, output }, side) =>
         new ReplayChannel(client, session, output, {
-          mesh: (mesh) => this.take(side, mesh),
+          mesh: (mesh, isLate) => this.take(side, mesh, isLate),
           state: () => handlers.changed(),
           open: () => this.opened(side),
           fault: handlers.fault,
@@ -124,13 +124,16 @@ export class PairPlayer implements Playback {
 
   private tell(side: number): void {
     const seconds = Math.min(this.timeSeconds, this.sides[side]!.lengthSeconds);
-    this.channels[side]?.send({ seek_seconds: seconds });
+    this.channels[side]?.seek(seconds);
   }
 
-  private take(side: number, mesh: DecodedMesh): void {
+  private take(side: number, mesh: DecodedMesh, isLate: boolean): void {
+    if (isLate) return this.handlers.mesh(side, mesh, true);
+    const earlier = this.arrived[side];
+    if (earlier) this.handlers.mesh(side, earlier, true);
     this.arrived[side] = mesh;
     if (!this.barrier.arrived(side)) return;
-    for (const [k, arrived] of this.arrived.entries()) if (arrived) this.handlers.mesh(k, arrived);
+    for (const [k, arrived] of this.arrived.entries()) if (arrived) this.handlers.mesh(k, arrived, false);
     this.arrived.length = 0;
     this.handlers.changed();
     if (this.again) this.ask();

@@ -1,19 +1,14 @@
 import type { Client } from "../api/client";
 import type { DecodedMesh } from "../scene/mesh_stream";
-import { ReplayChannel, type ReplayOutput, type Scalars } from "./channel";
+import { ReplayChannel, SAME_S, type ReplayOutput, type Scalars } from "./channel";
 import type { Playback } from "./playback";
 
 /** Pictures a second asked of the daemon. */
 const FPS = 30;
 
-/** So near to an end is there: sensor times differ a little from whole periods. */
-const END_S = 0.02;
-/** A seek without an answer for so long is not waited for. */
-const SEEK_PATIENCE_MS = 1000;
-
 /** What the player shows its owner. */
 export interface PlayerHandlers {
-  mesh: (mesh: DecodedMesh) => void;
+  mesh: (mesh: DecodedMesh, isLate: boolean) => void;
   changed: () => void;
   fault: (error: unknown) => void;
 }
@@ -27,8 +22,6 @@ export class Player implements Playback {
   playing = false;
   loop = true;
   private scalars: Scalars = "none";
-  /** When a seek was sent whose picture has not come; null when none is owed. */
-  private soughtMs: number | null = null;
   private seekAgain = false;
   private readonly channel: ReplayChannel;
 
@@ -42,7 +35,7 @@ export class Player implements Playback {
   ) {
     this.timeSeconds = startSeconds;
     this.channel = new ReplayChannel(client, session, output, {
-      mesh: (mesh) => this.show(mesh),
+      mesh: (mesh, isLate) => this.show(mesh, isLate),
       state: () => handlers.changed(),
       open: () => this.tellAll(),
       fault: handlers.fault,
@@ -54,7 +47,7 @@ export class Player implements Playback {
   }
 
   play(): void {
-    const atEnd = this.reverse ? this.timeSeconds <= 0 : this.timeSeconds >= this.lengthSeconds - END_S;
+    const atEnd = this.reverse ? this.timeSeconds <= 0 : this.timeSeconds >= this.lengthSeconds - SAME_S;
     if (atEnd && !this.loop) this.seek(this.reverse ? this.lengthSeconds : 0);
     this.playing = true;
     this.tellPlay();
@@ -85,30 +78,27 @@ export class Player implements Playback {
     this.scalars = scalars;
     this.channel.send({ scalars });
     // What stands still is sent again with its colours.
-    if (!this.playing) this.channel.send({ seek_seconds: this.timeSeconds });
+    if (!this.playing) this.channel.seek(this.timeSeconds);
   }
 
   seek(seconds: number): void {
     this.timeSeconds = Math.max(0, Math.min(this.lengthSeconds, seconds));
     this.handlers.changed();
-    const now = performance.now();
     // While one seek is owed, later ones replace each other here instead of queueing there.
-    this.seekAgain = this.soughtMs !== null && now - this.soughtMs < SEEK_PATIENCE_MS;
-    if (this.seekAgain) return;
-    this.soughtMs = now;
-    this.channel.send({ seek_seconds: this.timeSeconds });
+    this.seekAgain = this.channel.isSeeking;
+    if (!this.seekAgain) this.channel.seek(this.timeSeconds);
   }
 
   close(): void {
     this.channel.close();
   }
 
-  private show(mesh: DecodedMesh): void {
-    this.handlers.mesh(mesh);
-    this.soughtMs = null;
+  private show(mesh: DecodedMesh, isLate: boolean): void {
+    this.handlers.mesh(mesh, isLate);
+    if (isLate) return;
     if (this.seekAgain) return this.seek(this.timeSeconds);
     this.timeSeconds = mesh.message.timeSeconds;
-    const ended = this.reverse ? this.timeSeconds <= END_S : this.timeSeconds >= this.lengthSeconds - END_S;
+    const ended = this.reverse ? this.timeSeconds <= SAME_S : this.timeSeconds >= this.lengthSeconds - SAME_S;
     if (this.playing && !this.loop && ended) this.pause();
     this.handlers.changed();
   }
@@ -122,7 +112,7 @@ export class Player implements Playback {
     this.channel.send({ fps: FPS });
     this.channel.send({ loop: this.loop });
     this.channel.send({ scalars: this.scalars });
-    this.channel.send({ seek_seconds: this.timeSeconds });
+    this.channel.seek(this.timeSeconds);
     this.tellPlay();
   }
 }

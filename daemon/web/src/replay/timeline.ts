@@ -49,7 +49,7 @@ export class Timeline {
 
 /** An event in one line: `drop: queue reconstruct, 3`. */
 export function eventWords(event: Record<string, unknown> & { kind: string }): string {
-  const known = ["cause", "source", "message", "device", "change", "text", "count", "ticks"];
+  const known = ["cause", "source", "message", "device", "change", "text", "count", "ticks", "level", "state", "error"];
   const parts = known.filter((key) => event[key] != null).map((key) => words(String(event[key])));
   return parts.length ? `${words(event.kind)}: ${parts.join(", ")}` : words(event.kind);
 }

@@ -49,9 +49,10 @@ export class Viewer {
     this.applyTheme();
   }
 
-  /** Shows a mesh; the first one is looked at from the front. */
-  show(message: MeshMessage, picture: ImageBitmap | null): boolean {
+  /** Shows a mesh, or only takes it in when it is late; the first one is looked at from the front. */
+  show(message: MeshMessage, picture: ImageBitmap | null, isLate = false): boolean {
     if (!this.surface.update(message, picture)) return false;
+    if (isLate) return true;
     if (!this.orbit.fitted && message.vertices > 0) this.orbit.fit(messageBox(message));
     this.requestDraw();
     return true;

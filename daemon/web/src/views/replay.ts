@@ -123,11 +123,12 @@ class ReplayView implements View {
       h("h1", { class: "visually-hidden" }, `Replay of ${this.sessions.map((s) => s.name).join(" and ")}`),
       this.toolbar(names),
       stages,
-      h("div", { class: "panel player" }, this.timeline.element, this.transport.element),
+      this.player(),
     );
     for (const [k, s] of this.sessions.entries()) {
       const tolerance = s.tolerance_mm != null ? ` · tolerance ${mm(s.tolerance_mm)}` : "";
-      const text = `${s.name} · ${count(s.scans)} scans · ${bytes(s.bytes)} · ${ratio(s.ratio)}${tolerance}`;
+      const smaller = s.ratio ? ` · ${ratio(s.ratio)}` : "";
+      const text = `${s.name} · ${count(s.scans)} scans · ${bytes(s.bytes)}${smaller}${tolerance}`;
       setText(this.captions[k]!, text);
     }
     this.timeline.describe(this.sessions[0]!, this.seconds());
@@ -164,12 +165,22 @@ class ReplayView implements View {
       this.outputs.element,
       this.looks.element,
       stereo.element,
-      button("Whole", () => this.orbit.reset(), { title: "Show all of it from the front (0)" }),
-      button("PNG", () => void this.savePicture(), { title: "Save the picture" }),
+    );
+  }
+
+  /** Below the surface, where there is room at any width. */
+  private player(): HTMLElement {
+    const line = h(
+      "div",
+      { class: "player-line" },
+      this.transport.element,
       h("span", { class: "spring" }),
       this.stale.element,
       this.rate,
+      button("Whole", () => this.orbit.reset(), { title: "Show all of it from the front (0)" }),
+      button("PNG", () => void this.savePicture(), { title: "Save the picture" }),
     );
+    return h("div", { class: "panel player" }, this.timeline.element, line);
   }
 
   private go(name: string, other?: string): void {
@@ -193,9 +204,13 @@ class ReplayView implements View {
     const first = sides[0]!;
     this.playback =
       sides.length > 1
-        ? new PairPlayer(client, sides, startSeconds, { mesh: (side, mesh) => this.show(side, mesh), changed, fault })
+        ? new PairPlayer(client, sides, startSeconds, {
+            mesh: (side, mesh, isLate) => this.show(side, mesh, isLate),
+            changed,
+            fault,
+          })
         : new Player(client, first.session, this.output, first.lengthSeconds, startSeconds, {
-            mesh: (mesh) => this.show(0, mesh),
+            mesh: (mesh, isLate) => this.show(0, mesh, isLate),
             changed,
             fault,
           });
@@ -224,13 +239,13 @@ class ReplayView implements View {
     this.legend.hide();
   }
 
-  private show(side: number, { message, picture }: DecodedMesh): void {
+  private show(side: number, { message, picture }: DecodedMesh, isLate: boolean): void {
     const viewer = this.viewers[side];
-    if (!viewer?.show(message, picture)) {
+    if (!viewer?.show(message, picture, isLate)) {
       picture?.close();
       return;
     }
-    if (side > 0) return;
+    if (side > 0 || isLate) return;
     const unit = SCALAR_UNITS[this.look];
     const name = LOOK_NAMES.find(([look]) => look === this.look)![1];
     if (!unit) return;

@@ -96,7 +96,7 @@ export function sessionsView(context: Context): View {
 
 function head(text: string): HTMLElement {
   const hidden = h("span", { class: "visually-hidden" }, "Picture");
-  return h("th", { scope: "col", class: NUMBERS.includes(text) ? "number" : "" }, text || hidden);
+  return h("th", { scope: "col", class: [...NUMBERS, "Actions"].includes(text) ? "number" : "" }, text || hidden);
 }
 
 function row({ client }: Context, session: SessionSummary, actions: SessionActions): HTMLElement {
