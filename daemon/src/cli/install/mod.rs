@@ -22,7 +22,7 @@ use std::path::PathBuf;
                         gv3 install --root pkg --prefix /usr")]
 pub struct Install {
     #[command(flatten)]
-    into: Into,
+    into: Target,
 }
 
 /// Take away what `gv3 install` put in place; sessions and a rig file that was edited stay.
@@ -30,11 +30,11 @@ pub struct Install {
 #[command(after_help = "Examples:\n  gv3 uninstall --dry-run\n  sudo gv3 uninstall\n  gv3 uninstall --user")]
 pub struct Uninstall {
     #[command(flatten)]
-    from: Into,
+    from: Target,
 }
 
 #[derive(Debug, Args)]
-struct Into {
+struct Target {
     /// Say what would be done, and do nothing.
     #[arg(long)]
     dry_run: bool,
@@ -79,7 +79,7 @@ impl Uninstall {
     }
 }
 
-impl Into {
+impl Target {
     fn places(&self) -> Result<Places> {
         if let Some(prefix) = &self.prefix {
             ensure!(prefix.is_absolute(), "{}: give --prefix as an absolute path", prefix.display());

@@ -10,10 +10,10 @@ use std::path::Path;
 #[derive(Parser)]
 struct Line {
     #[command(flatten)]
-    into: Into,
+    into: Target,
 }
 
-fn into(root: &Path, more: &[&str]) -> Into {
+fn into(root: &Path, more: &[&str]) -> Target {
     let fixed = ["gv3", "--root", root.to_str().unwrap()];
     Line::try_parse_from(fixed.iter().chain(more)).unwrap().into
 }
