@@ -1,16 +1,17 @@
 //! `gv3 install-udev`: access to scanner hardware without root.
 
 use super::Outcome;
+use super::install::placed::{Change, Placed};
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use gv3_protocol::AtomicFile;
 use serde::Serialize;
-use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-const RULES: &str = include_str!("../../../udev/70-gv3.rules");
-const RULES_NAME: &str = "70-gv3.rules";
+/// The rules of this build.
+pub(super) const RULES: &str = include_str!("../../../udev/70-gv3.rules");
+/// Their file's name.
+pub(super) const RULES_NAME: &str = "70-gv3.rules";
 const GROUP: &str = "plugdev";
 /// What makes the rules take effect: read them, then apply them to what is plugged in.
 const RELOAD: [&[&str]; 2] = [
@@ -39,15 +40,6 @@ pub struct InstallUdev {
     json: bool,
 }
 
-/// What is done to the rules' file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-enum Change {
-    Written,
-    Replaced,
-    Unchanged,
-}
-
 #[derive(Debug, Serialize)]
 struct InstallReport {
     dry_run: bool,
@@ -60,44 +52,24 @@ struct InstallReport {
 
 impl InstallUdev {
     pub(super) fn run(self) -> Result<Outcome> {
-        let rules = self.rules_dir.join(RULES_NAME);
-        let change = match std::fs::read(&rules) {
-            Ok(found) if found == RULES.as_bytes() => Change::Unchanged,
-            Ok(_) => Change::Replaced,
-            Err(error) if error.kind() == ErrorKind::NotFound => Change::Written,
-            Err(error) => return Err(error).with_context(|| format!("{}: cannot read", rules.display())),
-        };
+        let rules = Placed::new(self.rules_dir.join(RULES_NAME), RULES);
+        let change = rules.needed()?;
         let commands: &[&[&str]] = if self.no_reload { &[] } else { &RELOAD };
         if !self.dry_run {
             if change != Change::Unchanged {
-                write_rules(&rules)?;
+                rules.put("sudo gv3 install-udev")?;
             }
-            commands.iter().try_for_each(|command| run_command(command, &rules))?;
+            commands.iter().try_for_each(|command| run_command(command, &rules.path))?;
         }
         let report = InstallReport {
             dry_run: self.dry_run,
-            rules,
+            rules: rules.path,
             change,
             commands: commands.iter().map(|c| c.join(" ")).collect(),
             group: GROUP,
             group_exists: group_exists(&std::fs::read_to_string("/etc/group").unwrap_or_default()),
         };
         Outcome::of(self.json, &report, || text(&report))
-    }
-}
-
-fn write_rules(path: &Path) -> Result<()> {
-    let written = AtomicFile::create(path, true).map_err(anyhow::Error::from).and_then(|mut file| {
-        file.write_all(RULES.as_bytes())?;
-        Ok(file.commit()?)
-    });
-    let is_denied = |error: &anyhow::Error| {
-        let mut causes = error.chain().filter_map(|cause| cause.downcast_ref::<std::io::Error>());
-        causes.any(|cause| cause.kind() == ErrorKind::PermissionDenied)
-    };
-    match written {
-        Err(error) if is_denied(&error) => Err(error.context("run it as root: sudo gv3 install-udev")),
-        other => other.with_context(|| format!("{}: cannot write", path.display())),
     }
 }
 
@@ -120,14 +92,7 @@ fn group_exists(groups: &str) -> bool {
 }
 
 fn text(report: &InstallReport) -> String {
-    let rules = report.rules.display();
-    let done = match (report.change, report.dry_run) {
-        (Change::Unchanged, _) => format!("{rules}: already as it should be"),
-        (Change::Written, false) => format!("{rules}: written"),
-        (Change::Replaced, false) => format!("{rules}: replaced"),
-        (Change::Written, true) => format!("would write {rules}"),
-        (Change::Replaced, true) => format!("would replace {rules}"),
-    };
+    let done = report.change.text(&report.rules, report.dry_run);
     let ran = if report.dry_run { "would run" } else { "ran" };
     let mut lines = vec![done];
     lines.extend(report.commands.iter().map(|command| format!("{ran} {command}")));

@@ -15,7 +15,9 @@ mod doctor;
 mod encode;
 mod flatten;
 mod info;
+mod install;
 mod install_udev;
+mod manual;
 mod measure;
 mod patterns;
 mod progress;
@@ -73,7 +75,11 @@ enum Command {
     Accuracy(accuracy::Accuracy),
     Bench(bench::Bench),
     VirtualScanner(virtual_scanner::VirtualScannerCommand),
+    Install(install::Install),
+    Uninstall(install::Uninstall),
     InstallUdev(install_udev::InstallUdev),
+    Man(manual::Man),
+    Completions(manual::Completions),
 }
 
 /// What a command prints on standard output and whether it found a fault.
@@ -121,7 +127,11 @@ pub fn main() -> ExitCode {
         Command::Accuracy(c) => c.run(),
         Command::Bench(c) => c.run(),
         Command::VirtualScanner(c) => c.run(),
+        Command::Install(c) => c.run(),
+        Command::Uninstall(c) => c.run(),
         Command::InstallUdev(c) => c.run(),
+        Command::Man(c) => c.run(),
+        Command::Completions(c) => c.run(),
     };
     match outcome {
         Ok(outcome) => {

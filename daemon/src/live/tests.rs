@@ -1,5 +1,7 @@
 //! The engine on the simulated rig: recordings, faults of disk and devices, stopping in every state.
 
+mod day;
+
 use super::*;
 use crate::device::{Camera, CameraInfo, CameraSettings, Frame};
 use crate::files::SessionsConfig;
@@ -210,8 +212,10 @@ fn a_configuration_is_taken_whole_or_not_at_all() {
 /// What is wrong with a disk.
 #[derive(Default)]
 struct DiskFaults {
-    /// Bytes after which it is full; 0 is never.
+    /// Bytes after which it refuses; 0 is never.
     room: AtomicU64,
+    /// Whether it refuses because it was mounted anew for reading alone, not because it is full.
+    is_read_only: AtomicBool,
     /// How long it takes to make bytes durable.
     sync_millis: AtomicU64,
     /// What it says is free; 0 is plenty.
@@ -246,7 +250,10 @@ impl Write for FaultyFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let room = self.faults.room.load(Ordering::Relaxed);
         if room > 0 && self.written + bytes.len() as u64 > room {
-            return Err(io::ErrorKind::StorageFull.into());
+            return Err(match self.faults.is_read_only.load(Ordering::Relaxed) {
+                true => io::ErrorKind::ReadOnlyFilesystem.into(),
+                false => io::ErrorKind::StorageFull.into(),
+            });
         }
         let count = self.file.write(bytes)?;
         self.written += count as u64;
@@ -283,9 +290,16 @@ fn on_faulty_disk(folder: &Path) -> (Live, Arc<DiskFaults>) {
 }
 
 #[test]
-fn a_full_disk_ends_the_recording_and_nothing_else() {
+fn a_disk_that_is_full_or_turns_read_only_ends_the_recording_and_nothing_else() {
+    for is_read_only in [false, true] {
+        end_by_disk(is_read_only);
+    }
+}
+
+fn end_by_disk(is_read_only: bool) {
     let folder = tempfile::tempdir().unwrap();
     let (live, faults) = on_faulty_disk(folder.path());
+    faults.is_read_only.store(is_read_only, Ordering::Relaxed);
     live.start_recording(named("full")).unwrap();
     wait_for_scans(&live, 12);
     faults.room.store(1, Ordering::Relaxed);

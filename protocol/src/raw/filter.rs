@@ -48,14 +48,53 @@ pub fn undo(bytes: &mut [u8], width_px: usize) {
         left = *pixel;
     }
     let mut above: &[u8] = first;
-    for row in rest.chunks_exact_mut(width_px) {
-        row[0] = row[0].wrapping_add(above[0]);
-        let mut left = row[0];
-        for (pixel, above) in row[1..].iter_mut().zip(above.windows(2)) {
-            *pixel = pixel.wrapping_add(predicted(left, above[1], above[0]));
-            left = *pixel;
+    for rows in rest.chunks_mut(2 * width_px) {
+        let (upper, lower) = rows.split_at_mut(width_px);
+        if lower.is_empty() {
+            undo_row(above, upper);
+        } else {
+            undo_pair(above, upper, lower);
         }
-        above = row;
+        above = lower;
+    }
+}
+
+/// A pixel from its residual: [`predicted`], written so that little waits for the pixel to the left.
+fn restored(residual: u8, left: u8, above: u8, corner: u8) -> u8 {
+    let slope = i16::from(above) - i16::from(corner);
+    let (low, high) = (slope.min(0), slope.max(0));
+    let left = i16::from(left);
+    residual.wrapping_add(i16::from(above).max(left + low).min(left + high) as u8)
+}
+
+fn undo_row(above: &[u8], row: &mut [u8]) {
+    row[0] = row[0].wrapping_add(above[0]);
+    let mut left = row[0];
+    for (pixel, above) in row[1..].iter_mut().zip(above.windows(2)) {
+        *pixel = restored(*pixel, left, above[1], above[0]);
+        left = *pixel;
+    }
+}
+
+/// Two rows at once, the lower a pixel behind: in each, every pixel waits for the one before, but no row for the other.
+fn undo_pair(above: &[u8], upper: &mut [u8], lower: &mut [u8]) {
+    upper[0] = upper[0].wrapping_add(above[0]);
+    lower[0] = lower[0].wrapping_add(upper[0]);
+    let (mut corner, mut left, mut lower_left) = (upper[0], upper[0], lower[0]);
+    if let (Some(pixel), [corner, above, ..]) = (upper.get_mut(1), above) {
+        *pixel = restored(*pixel, left, *above, *corner);
+        left = *pixel;
+    } else {
+        return;
+    }
+    for ((pixel, lower), above) in upper[2..].iter_mut().zip(&mut lower[1..]).zip(above[1..].windows(2)) {
+        *lower = restored(*lower, lower_left, left, corner);
+        lower_left = *lower;
+        *pixel = restored(*pixel, left, above[1], above[0]);
+        (corner, left) = (left, *pixel);
+    }
+    if let Some(last) = lower.last_mut() {
+        *last = restored(*last, lower_left, left, corner);
     }
 }
 
@@ -76,6 +115,16 @@ mod tests {
         assert_eq!(predicted(10, 14, 12), 12);
         assert_eq!(predicted(200, 250, 10), 250);
         assert_eq!(predicted(5, 9, 255), 5);
+    }
+
+    #[test]
+    fn restoring_is_adding_to_the_prediction() {
+        for (left, above, corner) in (0..=255).step_by(5).flat_map(|l| {
+            (0..=255).step_by(5).flat_map(move |a| (0..=255).step_by(5).map(move |c| (l as u8, a as u8, c as u8)))
+        }) {
+            let expected = predicted(left, above, corner).wrapping_add(77);
+            assert_eq!(restored(77, left, above, corner), expected, "{left} {above} {corner}");
+        }
     }
 
     proptest! {
