@@ -64,6 +64,7 @@ fn recordings_begin_and_end_while_the_scanner_runs() {
     let (mut scans, mut groups) = (live.scans(), live.groups());
     live.start_scanner().unwrap();
     live.start_scanner().unwrap();
+    live.want_scan();
     wait_until("a scan", || scans.borrow_and_update().is_some());
     assert_eq!(live.status().state, LiveState::Previewing);
     for name in ["one", "two"] {

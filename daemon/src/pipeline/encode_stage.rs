@@ -1,7 +1,7 @@
 //! Scans to groups, in a thread of its own: one encoder a file.
 
-use super::flow::{End, Item, Outlet};
 use super::degrade::Degradation;
+use super::flow::{End, Item, Outlet};
 use super::monitor::{Monitor, Stage, thread_cpu};
 use super::record::RecordError;
 use super::recording::{Encoded, Progress, Recording, ScanObserver, SegmentLimits, payload_bytes};

@@ -56,9 +56,9 @@ pub enum Work {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Export {
-    /// Output of the session.
+    /// Output of the session; the usual one of its mode if none is given.
     #[serde(default, rename = "as")]
-    output: Shown,
+    output: Option<Output>,
     /// Kind of files.
     format: Format,
     /// First tick; the first scan if none is given.
@@ -67,27 +67,6 @@ pub struct Export {
     last_tick: Option<u64>,
     /// Scans a second instead of the original times.
     fps: Option<f64>,
-}
-
-/// Output of a session, as the interface names it.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Shown {
-    /// Each scan as it was seen.
-    #[default]
-    Scan,
-    /// The tracked mesh.
-    Mesh,
-}
-
-impl Shown {
-    /// The player's word for it.
-    pub fn output(self) -> Output {
-        match self {
-            Self::Scan => Output::Scan,
-            Self::Mesh => Output::Mesh,
-        }
-    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -218,7 +197,7 @@ fn recover(files: &[PathBuf], progress: &Progress) -> Ended {
 }
 
 fn run_export(files: &[PathBuf], export: &Export, progress: &Progress, result: &Path) -> Ended {
-    let mut player = open(files, export.output)?;
+    let mut player = SessionPlayer::open(files, export.output).map_err(words)?;
     let times = export.times(&player)?;
     progress.set_total(times.len() as u64);
     let format = match export.format {
@@ -237,7 +216,7 @@ fn run_export(files: &[PathBuf], export: &Export, progress: &Progress, result: &
         }
     }
     let (_, bytes) = zip.finish().map_err(words)?;
-    Ok(Some(Report(json!({ "scans": times.len(), "bytes": bytes }))))
+    Ok(Some(Report(json!({ "as": player.output(), "scans": times.len(), "bytes": bytes }))))
 }
 
 /// Moves the files of one scan into the archive, in the order of their names.
@@ -252,17 +231,8 @@ fn pack(folder: &Path, zip: &mut ZipWriter<BufWriter<File>>) -> std::io::Result<
     Ok(())
 }
 
-fn open(files: &[PathBuf], shown: Shown) -> Result<SessionPlayer, String> {
-    let player = SessionPlayer::open(files, shown.output().played()).map_err(words)?;
-    let outputs = Output::of(player.mode());
-    match outputs.contains(&shown.output()) {
-        true => Ok(player),
-        false => Err(format!("a session of mode {} has the output mesh only", player.mode().name())),
-    }
-}
-
 fn compare(files: &[PathBuf], with: &[PathBuf], progress: &Progress, result: &Path) -> Ended {
-    let usual = |files: &[PathBuf]| SessionPlayer::open(files, gv3_codec::Output::Scan).map_err(words);
+    let usual = |files: &[PathBuf]| SessionPlayer::open(files, None).map_err(words);
     let (mut one, mut other) = (usual(files)?, usual(with)?);
     let times: std::collections::BTreeMap<u64, u64> = other.stamps().iter().map(|s| (s.tick, s.time_nanos)).collect();
     let shared: Vec<(u64, u64, u64)> =

@@ -6,7 +6,6 @@ use crate::store::SessionPlayer;
 use crate::view::compare::png_bytes;
 use crate::view::render::{DARK_BACKGROUND, RenderStyle, Surface, ViewFrame, ViewSide, render};
 use bytes::Bytes;
-use gv3_codec::Output;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::SystemTime;
@@ -63,7 +62,7 @@ impl Thumbnails {
 /// # Errors
 /// [`Problem`] 422 when nothing can be decoded.
 fn draw(files: &[PathBuf]) -> Result<Vec<u8>, Problem> {
-    let mut player = SessionPlayer::open(files, Output::default())?;
+    let mut player = SessionPlayer::open(files, None)?;
     let keys: Vec<u64> = player.stamps().iter().filter(|s| s.is_key).map(|s| s.time_nanos).collect();
     let time = keys.get(keys.len() / 2).copied().unwrap_or_else(|| player.first_nanos());
     let scan = player.scan_at(time)?;

@@ -1,8 +1,9 @@
 //! Plays a session of any number of segments.
 
 use super::StoreError;
+use crate::measure::Output;
 use crate::replay::{Replay, ReplayError, ReplayStamp};
-use gv3_codec::{Mode, Output, Scan};
+use gv3_codec::Scan;
 use std::path::PathBuf;
 
 /// The segments of a session as one replay.
@@ -10,29 +11,37 @@ pub struct SessionPlayer {
     /// In time order; at least one.
     segments: Vec<Replay>,
     stamps: Vec<ReplayStamp>,
+    output: Output,
 }
 
 impl SessionPlayer {
-    /// Opens every segment that holds a complete group.
+    /// Opens every segment that holds a complete group, to show an output, or the usual one of the session's mode.
     ///
     /// # Errors
-    /// [`StoreError::Replay`] when none does, or one is damaged.
-    pub fn open(files: &[PathBuf], output: Output) -> Result<Self, StoreError> {
+    /// [`StoreError::Replay`] when no segment does, or one is damaged; [`StoreError::Output`] when the session has no such
+    /// output.
+    pub fn open(files: &[PathBuf], wanted: Option<Output>) -> Result<Self, StoreError> {
         let (mut segments, mut refused) = (Vec::new(), None);
         for file in files {
-            match Replay::open_as(file, output) {
+            match Replay::open(file) {
                 Ok(replay) => segments.push(replay),
                 Err(error) => refused = Some(error),
             }
         }
         let stamps: Vec<ReplayStamp> = segments.iter().flat_map(|s: &Replay| s.stamps()).copied().collect();
-        match refused {
-            Some(error) if stamps.is_empty() => Err(error.into()),
-            _ if stamps.is_empty() => {
-                Err(ReplayError::Content { path: PathBuf::new(), reason: "no scan to replay".into() }.into())
-            }
-            _ => Ok(Self { segments, stamps }),
+        if stamps.is_empty() {
+            let path = files.first().cloned().unwrap_or_default();
+            let empty = || ReplayError::Content { path, reason: "no scan to replay".into() };
+            return Err(refused.unwrap_or_else(empty).into());
         }
+        let mode = segments[0].header().mode;
+        let outputs = Output::of(mode);
+        let output = wanted.unwrap_or(outputs[0]);
+        if !outputs.contains(&output) {
+            return Err(StoreError::Output { wanted: output, mode: mode.name(), outputs });
+        }
+        segments.iter_mut().try_for_each(|segment| segment.show(output.played()))?;
+        Ok(Self { segments, stamps, output })
     }
 
     /// Scans of the session in time order; at least one.
@@ -47,12 +56,17 @@ impl SessionPlayer {
 
     /// From the first scan to the last.
     pub fn seconds(&self) -> f64 {
-        (self.stamps[self.stamps.len() - 1].time_nanos - self.first_nanos()) as f64 * 1e-9
+        self.stamps[self.stamps.len() - 1].time_nanos.saturating_sub(self.first_nanos()) as f64 * 1e-9
     }
 
-    /// Coding mode.
-    pub fn mode(&self) -> Mode {
-        self.segments[0].header().mode
+    /// What is shown.
+    pub fn output(&self) -> Output {
+        self.output
+    }
+
+    /// All that can be shown of this session.
+    pub fn outputs(&self) -> &'static [Output] {
+        Output::of(self.segments[0].header().mode)
     }
 
     /// Nanoseconds of one tick.
