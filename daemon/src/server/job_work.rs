@@ -5,6 +5,7 @@ use super::problem::Problem;
 use super::zip::ZipWriter;
 use crate::files::picture::PictureFormat;
 use crate::files::{ExportFormat, ExportWriter};
+use crate::live::{DiskStatus, Live};
 use crate::measure::Output;
 use crate::replay::Replay;
 use crate::store::SessionPlayer;
@@ -20,6 +21,9 @@ use std::path::{Path, PathBuf};
 const MAX_EXPORTED: usize = 1_000_000;
 /// Scans a second that may be asked for.
 const FPS_LIMITS: std::ops::RangeInclusive<f64> = 0.01..=1000.0;
+
+/// Free bytes above the floor that exports leave to recordings.
+const SPARED_BYTES: u64 = 200_000_000;
 
 /// What a job found.
 pub struct Report(pub Value);
@@ -42,6 +46,8 @@ pub enum Work {
         files: Vec<PathBuf>,
         /// Which.
         export: Export,
+        /// Knows what room must be left for recordings.
+        live: Live,
     },
     /// Distances between two sessions, tick by tick.
     Compare {
@@ -139,7 +145,7 @@ impl Work {
         match self {
             Self::Verify { files } => verify(files, progress),
             Self::Recover { files } => recover(files, progress),
-            Self::Export { files, export } => run_export(files, export, progress, result),
+            Self::Export { files, export, live } => run_export(files, export, live, progress, result),
             Self::Compare { files, with } => compare(files, with, progress, result),
         }
     }
@@ -196,7 +202,7 @@ fn recover(files: &[PathBuf], progress: &Progress) -> Ended {
     Ok(Some(Report(json!({ "files": reports }))))
 }
 
-fn run_export(files: &[PathBuf], export: &Export, progress: &Progress, result: &Path) -> Ended {
+fn run_export(files: &[PathBuf], export: &Export, live: &Live, progress: &Progress, result: &Path) -> Ended {
     let mut player = SessionPlayer::open(files, export.output).map_err(words)?;
     let times = export.times(&player)?;
     progress.set_total(times.len() as u64);
@@ -208,6 +214,7 @@ fn run_export(files: &[PathBuf], export: &Export, progress: &Progress, result: &
     let writer = ExportWriter::create(folder.path(), format, true).map_err(words)?;
     let mut zip = ZipWriter::new(BufWriter::new(File::create(result).map_err(words)?));
     for (number, time_nanos) in &times {
+        leave_room(live)?;
         let scan = player.scan_at(*time_nanos).map_err(words)?;
         writer.write(*number, &scan.mesh, scan.texture.as_ref()).map_err(words)?;
         pack(folder.path(), &mut zip).map_err(words)?;
@@ -217,6 +224,15 @@ fn run_export(files: &[PathBuf], export: &Export, progress: &Progress, result: &
     }
     let (_, bytes) = zip.finish().map_err(words)?;
     Ok(Some(Report(json!({ "as": player.output(), "scans": times.len(), "bytes": bytes }))))
+}
+
+/// Ends an export before it takes the room that recordings need.
+fn leave_room(live: &Live) -> Result<(), String> {
+    let DiskStatus { free_bytes, floor_bytes, .. } = live.status().disk;
+    match free_bytes > floor_bytes.saturating_add(SPARED_BYTES) || floor_bytes == 0 {
+        true => Ok(()),
+        false => Err(format!("{free_bytes} bytes are free on the disk, recordings need {floor_bytes} of them")),
+    }
 }
 
 /// Moves the files of one scan into the archive, in the order of their names.

@@ -88,6 +88,7 @@ pub async fn rename(
     let to = SessionName::new(&new.name)?;
     let renamed = move |s: &Shared| {
         let recording = s.recording();
+        s.jobs.leave_alone(&from)?;
         s.directory.rename(&from, &to, recording.as_ref())?;
         Ok(s.directory.summary(&to, recording.as_ref())?)
     };
@@ -96,7 +97,11 @@ pub async fn rename(
 
 /// DELETE /sessions/{name}.
 pub async fn remove(axum::extract::State(shared): State, Name(name): Name) -> Result<StatusCode, Problem> {
-    shared.blocking(move |s| Ok(s.directory.delete(&name, s.recording().as_ref())?)).await?;
+    let delete = move |s: &Shared| {
+        s.jobs.leave_alone(&name)?;
+        Ok(s.directory.delete(&name, s.recording().as_ref())?)
+    };
+    shared.blocking(delete).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

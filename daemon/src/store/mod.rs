@@ -15,7 +15,7 @@ mod time_text;
 pub use contents::{Curve, FileContents, FileGroups, GroupFigures, SessionDetail, event_value};
 pub use directory::{SessionDirectory, SessionSummary, State};
 pub use name::SessionName;
-pub use player::SessionPlayer;
+pub use player::{SessionPlayer, middle_keyframe};
 pub use repair::{Repaired, repair};
 pub use retention::{Expired, Retention, expire};
 pub use time_text::rfc3339;

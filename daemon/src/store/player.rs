@@ -3,8 +3,10 @@
 use super::StoreError;
 use crate::measure::Output;
 use crate::replay::{Replay, ReplayError, ReplayStamp};
-use gv3_codec::Scan;
-use std::path::PathBuf;
+use gv3_codec::{Player, Scan, StreamHeader};
+use gv3_protocol::session::SessionReader;
+use std::fs::File;
+use std::path::{Path, PathBuf};
 
 /// The segments of a session as one replay.
 pub struct SessionPlayer {
@@ -82,4 +84,40 @@ impl SessionPlayer {
         let later = self.segments.partition_point(|s| s.stamps().first().is_some_and(|f| f.time_nanos <= time_nanos));
         Ok(self.segments[later.saturating_sub(1)].scan_at(time_nanos)?)
     }
+}
+
+/// The keyframe in the middle of a session, as its usual output shows it. Of the other groups only those are read that it
+/// rests on.
+///
+/// # Errors
+/// [`StoreError::Session`] and [`StoreError::Replay`] of the segment in the middle; segments without a group are passed over.
+pub fn middle_keyframe(files: &[PathBuf]) -> Result<Scan, StoreError> {
+    let (before, after) = files.split_at(files.len() / 2);
+    for path in after.iter().chain(before.iter().rev()) {
+        let mut reader = SessionReader::open(path)?;
+        let groups: Vec<u64> = reader.groups().iter().map(|g| g.time_nanos).collect();
+        if !groups.is_empty() {
+            return keyframe(path, &mut reader, &groups, groups.len() / 2);
+        }
+    }
+    let path = files.first().cloned().unwrap_or_default();
+    Err(ReplayError::Content { path, reason: "no scan to show".into() }.into())
+}
+
+/// The keyframe of one group of a file whose groups have these times.
+fn keyframe(path: &Path, reader: &mut SessionReader<File>, groups: &[u64], at: usize) -> Result<Scan, StoreError> {
+    let fail = |reason: String| ReplayError::Content { path: path.into(), reason };
+    let streams = reader.streams().to_vec();
+    let run = streams.partition_point(|s| s.first_group <= at).checked_sub(1);
+    let run = run.ok_or_else(|| fail("no stream header; the session cannot be decoded".into()))?;
+    let first = streams[run].first_group;
+    let end = streams.get(run + 1).map_or(groups.len(), |next| next.first_group);
+    let header = StreamHeader::decode(&reader.read_stream(run)?).map_err(|e| fail(e.to_string()))?;
+    let output = Output::of(header.mode)[0].played();
+    let player = Player::new(header, groups[first..end].to_vec(), output);
+    let mut fetch = |group: usize| -> Result<_, ReplayError> {
+        let stored = reader.read_group(first + group)?;
+        Ok((stored.geometry, stored.texture))
+    };
+    Ok(player.map_err(|e| fail(e.to_string()))?.scan_at(groups[at], &mut fetch)?)
 }
