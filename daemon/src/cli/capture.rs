@@ -236,36 +236,34 @@ fn until_stopped<T>(
     work: impl Future<Output = T>,
 ) -> Result<T> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    Ok(runtime.block_on(async {
+    runtime.block_on(async {
         let bar = bar(scan_periods.unwrap_or(0), "capture");
         tokio::pin!(work);
         let mut tick = tokio::time::interval(Duration::from_millis(100));
-        let mut asked = Box::pin(asked_to_stop());
+        let mut asked = Box::pin(asked_to_stop()?);
         loop {
             tokio::select! {
-                result = &mut work => break result,
+                result = &mut work => break Ok(result),
                 _ = tick.tick() => bar.set_position(progress.load(Ordering::Relaxed)),
                 () = &mut asked, if !stop.load(Ordering::Relaxed) => stop.store(true, Ordering::Relaxed),
             }
         }
-    }))
+    })
 }
 
-/// Returns at Ctrl-C or SIGTERM.
-pub(super) async fn asked_to_stop() {
+/// Returns at Ctrl-C or SIGTERM, which are caught from now on.
+///
+/// # Errors
+/// When the system lets them not be caught.
+pub(super) fn asked_to_stop() -> std::io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
-    let terminate = async {
-        match signal(SignalKind::terminate()) {
-            Ok(mut s) => {
-                s.recv().await;
-            }
-            Err(_) => std::future::pending().await,
+    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
         }
-    };
-    tokio::select! {
-        result = tokio::signal::ctrl_c() => if result.is_err() { std::future::pending::<()>().await },
-        () = terminate => {}
-    }
+    })
 }
 
 /// A flag that Ctrl-C or SIGTERM sets, for commands that end by themselves between two steps.
@@ -273,8 +271,12 @@ pub(super) fn stop_flag() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let asked = {
+        let _entered = runtime.enter();
+        asked_to_stop()?
+    };
     std::thread::Builder::new().name("gv3-signals".into()).spawn(move || {
-        runtime.block_on(asked_to_stop());
+        runtime.block_on(asked);
         flag.store(true, Ordering::Relaxed);
     })?;
     Ok(stop)

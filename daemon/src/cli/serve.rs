@@ -70,6 +70,22 @@ impl Serve {
             Token::create(path)?;
             return Ok(Outcome::done(format!("{}: a new token, readable by its owner", path.display())));
         }
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(2)
+            .thread_name("gv3-server")
+            .enable_all()
+            .build()
+            .context("the server's threads could not be started")?;
+        let outcome = runtime.block_on(self.serve());
+        // A replay or a job that still decodes is not waited for.
+        runtime.shutdown_background();
+        outcome
+    }
+
+    async fn serve(self) -> Result<Outcome> {
+        // First: a signal that comes early is obeyed when all is there that it ends.
+        let asked_to_stop = super::capture::asked_to_stop().context("signals cannot be caught")?;
+        let mut hangups = signal(SignalKind::hangup()).context("SIGHUP cannot be caught")?;
         let notify = Notify::from_environment();
         let token = self.token_file.as_deref().map(Token::read).transpose()?;
         let read_config = self.read_config();
@@ -77,30 +93,18 @@ impl Serve {
         // Before the devices: two daemons are not to fight over them.
         let directory = SessionDirectory::open(&config.sessions.directory)?;
         let sessions = directory.path().to_path_buf();
-        let server_config = ServerConfig { listen: self.listen, token, hosts: self.hosts.clone() };
-        let runtime = tokio::runtime::Builder::new_multi_thread()
-            .worker_threads(2)
-            .thread_name("gv3-server")
-            .enable_all()
-            .build()
-            .context("the server's threads could not be started")?;
-        let outcome = runtime.block_on(async {
-            let live = Live::open(config)?;
-            let server = Server::bind(server_config, live, directory, read_config, notify).await?;
-            say_where(server.address(), &sessions);
-            let reload = server.reload();
-            let mut hangups = signal(SignalKind::hangup()).context("SIGHUP cannot be caught")?;
-            tokio::spawn(async move {
-                while hangups.recv().await.is_some() {
-                    reload.notify_one();
-                }
-            });
-            server.run(super::capture::asked_to_stop()).await?;
-            anyhow::Ok(Outcome::done("stopped"))
+        let server_config = ServerConfig { listen: self.listen, token, hosts: self.hosts };
+        let live = Live::open(config)?;
+        let server = Server::bind(server_config, live, directory, read_config, notify).await?;
+        say_where(server.address(), &sessions);
+        let reload = server.reload();
+        tokio::spawn(async move {
+            while hangups.recv().await.is_some() {
+                reload.notify_one();
+            }
         });
-        // A replay or a job that still decodes is not waited for.
-        runtime.shutdown_background();
-        outcome
+        server.run(asked_to_stop).await?;
+        Ok(Outcome::done("stopped"))
     }
 
     fn read_config(&self) -> ReadConfig {

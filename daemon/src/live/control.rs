@@ -2,13 +2,14 @@
 
 use super::segments::SegmentedSink;
 use super::status::ShownRecording;
-use super::{Inner, LiveConfig, LiveError, LiveState, RecordingRequest, RecordingStarted, RecordingStopped, name};
+use super::{Inner, LiveConfig, LiveError, LiveState, RecordingRequest, RecordingStarted, RecordingStopped};
 use crate::device::{PacedCamera, Rig};
 use crate::light::Calibration;
 use crate::pipeline::{
     Ended, Pipeline, PipelineSettings, Progress, RawRecorded, RawRecorder, RawTap, RecordError, Recording,
     SegmentLimits,
 };
+use crate::store::{SessionName, StoreError};
 use gv3_codec::EncoderConfig;
 use gv3_protocol::session::{Event, EventKind, SessionMetadata};
 use std::path::{Path, PathBuf};
@@ -40,7 +41,7 @@ pub(super) struct Run {
 
 /// A running recording.
 struct Active {
-    name: String,
+    name: SessionName,
     has_scans: bool,
     raw: Option<RawRecorder>,
     raw_folder: PathBuf,
@@ -117,17 +118,20 @@ impl Control {
             return Err(LiveError::State(format!("{} is being recorded; stop it first", active.name)));
         }
         if !request.scans && !request.raw {
-            return Err(LiveError::Name("a recording without scans and without raw pictures holds nothing".into()));
+            return Err(LiveError::Text("a recording without scans and without raw pictures holds nothing".into()));
         }
         let folder = self.config.sessions.directory.clone();
-        let name = name::choose(request.name.clone(), &folder)?;
+        let name = match &request.name {
+            Some(name) => free(SessionName::new(name)?, &folder)?,
+            None => SessionName::of_time((inner.ground.wall_clock)(), &folder)?,
+        };
         self.check_space(inner)?;
         self.start_scanner(inner)?;
         let Some(run) = &mut self.run else { return Err(LiveError::State("the scanner has stopped".into())) };
         let shown = run.begin_recording(inner, &self.config, &name, &request)?;
         inner.shown().recording = Some(shown);
         inner.show(LiveState::Recording, None);
-        Ok(RecordingStarted { session: name })
+        Ok(RecordingStarted { session: name.to_string() })
     }
 
     fn check_space(&self, inner: &Inner) -> Result<(), LiveError> {
@@ -158,7 +162,7 @@ impl Control {
 
     pub fn mark(&mut self, inner: &Inner, text: &str) -> Result<u64, LiveError> {
         if text.len() > MAX_MARK_BYTES {
-            return Err(LiveError::Name(format!("a mark of {} bytes; at most {MAX_MARK_BYTES}", text.len())));
+            return Err(LiveError::Text(format!("a mark of {} bytes; at most {MAX_MARK_BYTES}", text.len())));
         }
         let Some(run) = self.run.as_ref().filter(|run| run.recording.is_some()) else {
             return Err(LiveError::State("nothing is being recorded".into()));
@@ -230,11 +234,11 @@ impl Run {
         &mut self,
         inner: &Inner,
         config: &LiveConfig,
-        name: &str,
+        name: &SessionName,
         request: &RecordingRequest,
     ) -> Result<ShownRecording, LiveError> {
         let folder = &config.sessions.directory;
-        let raw_folder = name::raw_folder(folder, name);
+        let raw_folder = folder.join(name.raw_folder());
         let sink = match request.scans {
             true => Some(self.sink(inner, config, name)?),
             false => None,
@@ -245,7 +249,7 @@ impl Run {
         };
         let raw = raw.transpose().inspect_err(|_| {
             // The session's first file holds nothing yet.
-            let _ = std::fs::remove_file(name::file(folder, name, 1));
+            let _ = std::fs::remove_file(folder.join(name.file(1)));
         })?;
         let (progress, abort) = (Arc::new(Progress::default()), Arc::new(AtomicBool::new(false)));
         if let Some(sink) = sink {
@@ -258,20 +262,20 @@ impl Run {
                 abort: Arc::clone(&abort),
             })?;
         }
-        self.recording = Some(Active { name: name.into(), has_scans: request.scans, raw, raw_folder, abort });
-        let (session, has_raw, set_bytes) = (name.into(), request.raw, self.set_bytes);
+        self.recording = Some(Active { name: name.clone(), has_scans: request.scans, raw, raw_folder, abort });
+        let (session, has_raw, set_bytes) = (name.to_string(), request.raw, self.set_bytes);
         Ok(ShownRecording { session, progress, has_raw, set_bytes })
     }
 
-    fn sink(&self, inner: &Inner, config: &LiveConfig, name: &str) -> Result<SegmentedSink, LiveError> {
+    fn sink(&self, inner: &Inner, config: &LiveConfig, name: &SessionName) -> Result<SegmentedSink, LiveError> {
         let fail = |e: &dyn std::fmt::Display| LiveError::State(format!("the configuration cannot be stored: {e}"));
         let mode = EncoderConfig::new(self.period_nanos).header().mode.name();
         // The time of creation is set with every file.
         let metadata = SessionMetadata::new(mode, concat!("gv3 ", env!("CARGO_PKG_VERSION")), 0)
             .with_calibration(&self.calibration.to_toml().map_err(|e| fail(&e))?)
             .with_configuration(&toml::to_string(&config.rig).map_err(|e| fail(&e))?);
-        let disk = Arc::clone(&inner.ground.disk);
-        Ok(SegmentedSink::create(disk, &config.sessions.directory, name, metadata)?)
+        let ground = Arc::clone(&inner.ground);
+        Ok(SegmentedSink::create(ground, &config.sessions.directory, name, metadata)?)
     }
 
     fn limits(&self, config: &LiveConfig) -> SegmentLimits {
@@ -285,6 +289,11 @@ impl Run {
         self.pipeline.tell(Event { time_nanos, tick, kind })?;
         Ok(tick)
     }
+}
+
+/// The name, if no session of the folder has it.
+fn free(name: SessionName, folder: &Path) -> Result<SessionName, LiveError> {
+    if name.is_free(folder)? { Ok(name) } else { Err(StoreError::Exists(name.to_string()).into()) }
 }
 
 /// Virtual time is held to the sensor's pace.
@@ -303,7 +312,7 @@ fn finish_recording(run: &Run, active: Active, inner: &Inner) -> Result<Recordin
     let ended = reply.map(|reply| reply.map_err(LiveError::from).and_then(|reply| wait(&reply))).transpose();
     inner.shown().recording = None;
     let (ended, raw) = (ended?, raw?);
-    Ok(stopped(active.name, &active.raw_folder, ended, raw, begin.elapsed()))
+    Ok(stopped(&active.name, &active.raw_folder, ended, raw, begin.elapsed()))
 }
 
 fn wait(reply: &Receiver<Result<Ended, RecordError>>) -> Result<Ended, LiveError> {
@@ -315,7 +324,7 @@ fn wait(reply: &Receiver<Result<Ended, RecordError>>) -> Result<Ended, LiveError
 }
 
 fn stopped(
-    session: String,
+    session: &SessionName,
     raw_folder: &Path,
     ended: Option<Ended>,
     raw: Option<RawRecorded>,
@@ -334,5 +343,6 @@ fn stopped(
     }
     let verified = raw.as_ref().is_none_or(RawRecorded::is_complete);
     let ms = took.as_secs_f64() * 1e3;
+    let session = session.to_string();
     RecordingStopped { session, files, scans, keyframes, bytes, verified, ms, raw }
 }

@@ -2,6 +2,7 @@
 
 use crate::device::DeviceError;
 use crate::pipeline::RecordError;
+use crate::store::StoreError;
 use std::path::{Path, PathBuf};
 
 /// Why the engine did not do what was asked.
@@ -10,9 +11,12 @@ pub enum LiveError {
     /// Not now.
     #[error("{0}")]
     State(String),
-    /// A name or a text that cannot be taken.
+    /// A text that cannot be taken.
     #[error("{0}")]
-    Name(String),
+    Text(String),
+    /// A name that cannot be taken, or a session directory that cannot be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// A configuration that cannot work, or a device that does not.
     #[error(transparent)]
     Device(#[from] DeviceError),

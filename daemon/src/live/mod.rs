@@ -11,7 +11,6 @@ mod config;
 mod control;
 mod disk;
 mod error;
-mod name;
 mod request;
 mod segments;
 mod status;
@@ -35,11 +34,13 @@ use status::Shown;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Instant;
+use std::time::{Instant, SystemTime};
 use tokio::sync::{broadcast, watch as latest};
 
 /// Opens the devices of a configuration.
 pub type OpenRig = dyn Fn(&RigConfig) -> Result<Rig, DeviceError> + Send + Sync;
+/// The system's time, a label of files and nothing else: all that is recorded has the sensor's.
+pub type WallClock = dyn Fn() -> SystemTime + Send + Sync;
 
 /// What the engine stands on; replaced in tests.
 pub struct Ground {
@@ -47,17 +48,19 @@ pub struct Ground {
     pub open_rig: Box<OpenRig>,
     /// Where sessions are written to.
     pub disk: Arc<dyn Disk>,
+    /// Tells when files were begun.
+    pub wall_clock: Box<WallClock>,
 }
 
 impl Default for Ground {
     fn default() -> Self {
-        Self { open_rig: Box::new(device::open), disk: Arc::new(SystemDisk) }
+        Self { open_rig: Box::new(device::open), disk: Arc::new(SystemDisk), wall_clock: Box::new(SystemTime::now) }
     }
 }
 
 /// Shared by all handles and the watching thread.
 struct Inner {
-    ground: Ground,
+    ground: Arc<Ground>,
     monitor: Arc<Monitor>,
     /// Held while a command is carried out.
     control: Mutex<Control>,
@@ -94,7 +97,7 @@ impl Live {
         std::fs::create_dir_all(directory).map_err(|e| LiveError::disk(directory, format!("cannot make it: {e}")))?;
         let shown = Shown::of(&config, &*ground.disk);
         let inner = Arc::new(Inner {
-            ground,
+            ground: Arc::new(ground),
             monitor: Arc::new(Monitor::default()),
             control: Mutex::new(Control::new(config)),
             shown: Mutex::new(shown),
@@ -136,8 +139,8 @@ impl Live {
     /// Begins a recording with the next frame set; starts the scanner if it is idle.
     ///
     /// # Errors
-    /// [`LiveError::State`] while another recording runs, [`LiveError::Name`], [`LiveError::Space`] below the free-space
-    /// floor, [`LiveError::Record`] when the file cannot be made.
+    /// [`LiveError::State`] while another recording runs, [`LiveError::Store`] for its name, [`LiveError::Space`] below the
+    /// free-space floor, [`LiveError::Record`] when the file cannot be made.
     pub fn start_recording(&self, request: RecordingRequest) -> Result<RecordingStarted, LiveError> {
         self.inner.control().start_recording(&self.inner, request)
     }
@@ -154,7 +157,7 @@ impl Live {
     /// Marks the newest frame set in the running recording; gives its tick.
     ///
     /// # Errors
-    /// [`LiveError::State`] when no recording runs, [`LiveError::Name`] for a text longer than 1000 bytes.
+    /// [`LiveError::State`] when no recording runs, [`LiveError::Text`] for a text longer than 1000 bytes.
     pub fn mark(&self, text: &str) -> Result<u64, LiveError> {
         self.inner.control().mark(&self.inner, text)
     }
@@ -183,9 +186,14 @@ impl Live {
         self.inner.monitor.want_maps()
     }
 
-    /// The newest scans.
+    /// Scans as they are asked for by [`Self::want_scan`].
     pub fn scans(&self) -> latest::Receiver<Option<Arc<LiveScan>>> {
         self.inner.monitor.scans()
+    }
+
+    /// Has the next scan be shown. Some ten megabytes are copied for it, so that each is asked for.
+    pub fn want_scan(&self) {
+        self.inner.monitor.want_scan();
     }
 
     /// Groups of recordings once they are on disk; every file's stream header comes first.
@@ -208,8 +216,9 @@ impl Live {
     /// # Errors
     /// As [`Self::stop_scanner`].
     pub fn shut_down(self) -> Result<(), LiveError> {
-        let stopped = self.inner.control().stop_scanner(&self.inner);
+        // First: nobody who waits for the commands' turn begins anything between the two.
         self.inner.is_shut.store(true, Ordering::Relaxed);
+        let stopped = self.inner.control().stop_scanner(&self.inner);
         let watcher = self.watcher.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(watcher) = watcher {
             let _ = watcher.join();

@@ -1,22 +1,23 @@
 //! The files of a recording, each a complete session, each verified when it is closed.
 
-use super::disk::{AnyFile, Disk};
-use super::name;
+use super::Ground;
+use super::disk::AnyFile;
 use crate::pipeline::record::write_group;
 use crate::pipeline::{Closed, GroupSink, RecordError};
+use crate::store::SessionName;
 use gv3_codec::{EncodedGroup, StreamHeader, decode_stamps};
 use gv3_protocol::session::{
     Event, MetadataGroup, SessionMetadata, SessionReader, SessionState, SessionWriter, StoredGroup, key,
 };
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::UNIX_EPOCH;
 
 /// Writes a recording as NAME.gv3, NAME.0002.gv3 and so on.
 pub(super) struct SegmentedSink {
-    disk: Arc<dyn Disk>,
+    ground: Arc<Ground>,
     folder: PathBuf,
-    name: String,
+    name: SessionName,
     metadata: SessionMetadata,
     segment: u32,
     open: Option<OpenSegment>,
@@ -36,26 +37,26 @@ impl SegmentedSink {
     /// Makes the first file, so that what cannot work is known before the recording begins. The time of creation in the
     /// metadata is set for every file.
     pub fn create(
-        disk: Arc<dyn Disk>,
+        ground: Arc<Ground>,
         folder: &Path,
-        name: &str,
+        name: &SessionName,
         metadata: SessionMetadata,
     ) -> Result<Self, RecordError> {
-        let (folder, name, closed) = (folder.to_path_buf(), name.to_owned(), Closed::default());
-        let mut sink = Self { disk, folder, name, metadata, segment: 0, open: None, closed };
+        let (folder, name, closed) = (folder.to_path_buf(), name.clone(), Closed::default());
+        let mut sink = Self { ground, folder, name, metadata, segment: 0, open: None, closed };
         sink.open = Some(sink.create_next()?);
         Ok(sink)
     }
 
     fn create_next(&mut self) -> Result<OpenSegment, RecordError> {
         self.segment += 1;
-        let path = name::file(&self.folder, &self.name, self.segment);
-        let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
+        let path = self.folder.join(self.name.file(self.segment));
+        let created = (self.ground.wall_clock)().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
         if let Some(mut session) = self.metadata.group(key::SESSION).cloned() {
             session.set(key::CREATED_UNIX_NANOS, created);
             self.metadata.set_group(key::SESSION, session);
         }
-        let file = AnyFile(self.disk.create(&path)?);
+        let file = AnyFile(self.ground.disk.create(&path)?);
         // What cannot even be begun stands in nobody's way.
         let begun = SessionWriter::create(file, &self.metadata).inspect_err(|_| drop(std::fs::remove_file(&path)));
         Ok(OpenSegment { path, writer: begun?, header: None, groups: 0, last: None })

@@ -7,6 +7,7 @@ use crate::device::{Camera, CameraInfo, CameraSettings, Frame};
 use crate::files::SessionsConfig;
 use crate::pipeline::test_rig::small_rig;
 use crate::replay::Replay;
+use crate::store::{SessionDirectory, SessionName, SessionPlayer};
 use gv3_protocol::session::{Event, EventKind, SessionError, SessionFile, SessionReader, SyncData, recover, verify};
 use std::collections::BTreeMap;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -66,6 +67,7 @@ fn recordings_begin_and_end_while_the_scanner_runs() {
     let (mut scans, mut groups) = (live.scans(), live.groups());
     live.start_scanner().unwrap();
     live.start_scanner().unwrap();
+    live.want_scan();
     wait_until("a scan", || scans.borrow_and_update().is_some());
     assert_eq!(live.status().state, LiveState::Previewing);
     for name in ["one", "two"] {
@@ -140,6 +142,36 @@ fn segments_follow_one_another_and_each_decodes_alone() {
         last_tick = stamps.last().map(|s| s.tick);
     }
     assert_eq!(scans, stopped.scans);
+}
+
+#[test]
+fn a_clock_that_jumps_changes_labels_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let jumps = AtomicU64::new(0);
+    // Ten years on and back again, and before 1970, from one look to the next.
+    let wall_clock = move || {
+        let years = [30, 40, 20, 0][jumps.fetch_add(1, Ordering::Relaxed) as usize % 4];
+        SystemTime::UNIX_EPOCH + Duration::from_secs(years * 31_557_600) - Duration::from_secs(1)
+    };
+    let ground = Ground { wall_clock: Box::new(wall_clock), ..Ground::default() };
+    let mut config = config(folder.path());
+    config.sessions.segment_seconds = Some(1.0);
+    let live = Live::open_on(config, ground).unwrap();
+    let session = live.start_recording(RecordingRequest::default()).unwrap().session;
+    assert!(session.starts_with("2000-01-01_"), "{session}");
+    wait_until("a third file", || live.status().recording.is_some_and(|r| r.segment >= 3));
+    let stopped = live.stop_recording().unwrap();
+    live.shut_down().unwrap();
+    let directory = SessionDirectory::open(&folder.path().join("sessions")).unwrap();
+    let name = SessionName::new(&session).unwrap();
+    let (summary, detail) = (directory.summary(&name, None).unwrap(), directory.detail(&name).unwrap());
+    let ticks = detail.last_tick - detail.first_tick;
+    assert_eq!(summary.seconds, ticks as f64 * detail.period_nanos as f64 * 1e-9);
+    assert_eq!((summary.scans, detail.missing_ticks), (stopped.scans, ticks + 1 - stopped.scans));
+    let mut player = SessionPlayer::open(&directory.files(&name).unwrap(), None).unwrap();
+    assert!(player.stamps().windows(2).all(|w| w[0].time_nanos < w[1].time_nanos));
+    let last = player.stamps().last().unwrap().time_nanos;
+    assert!(!player.scan_at(last).unwrap().mesh.triangles.is_empty());
 }
 
 #[test]

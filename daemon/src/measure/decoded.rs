@@ -3,7 +3,7 @@
 use super::MeasureError;
 use crate::replay::{Replay, ReplayStamp};
 use gv3_codec::{Mode, Scan};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Decoded scans.
 pub trait Decoded: Send {
@@ -19,7 +19,7 @@ pub trait Decoded: Send {
 }
 
 /// An output of a session.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Output {
     /// Each scan as it was seen: the camera's pixels, holes and all.

@@ -186,6 +186,7 @@ pub struct Monitor {
     /// A scan could not be the keyframe that is due.
     pub(super) is_key_refused: AtomicBool,
     maps_wanted: AtomicUsize,
+    is_scan_wanted: AtomicBool,
     picture: watch::Sender<Option<Arc<LivePicture>>>,
     scan: watch::Sender<Option<Arc<LiveScan>>>,
     header: Mutex<Option<Arc<LiveGroup>>>,
@@ -208,6 +209,7 @@ impl Default for Monitor {
             degradation: AtomicU8::new(0),
             is_key_refused: AtomicBool::new(false),
             maps_wanted: AtomicUsize::new(0),
+            is_scan_wanted: AtomicBool::new(false),
             picture: watch::Sender::new(None),
             scan: watch::Sender::new(None),
             header: Mutex::default(),
@@ -233,9 +235,14 @@ impl Monitor {
         self.picture.subscribe()
     }
 
-    /// The newest scans.
+    /// Scans as they are asked for by [`Self::want_scan`].
     pub fn scans(&self) -> watch::Receiver<Option<Arc<LiveScan>>> {
         self.scan.subscribe()
+    }
+
+    /// Has the next scan be shown. Some ten megabytes are copied for it, so that each is asked for.
+    pub fn want_scan(&self) {
+        self.is_scan_wanted.store(true, Ordering::Relaxed);
     }
 
     /// Stream header of the newest file of a recording, for those who come after it was sent.
@@ -327,12 +334,12 @@ impl Monitor {
         self.picture.send_replace(Some(Arc::new(picture)));
     }
 
-    /// A scan was made of pictures of which the last arrived at `arrived`; a copy is kept when someone looks.
+    /// A scan was made of pictures of which the last arrived at `arrived`; a copy is kept when someone asked for it.
     pub(super) fn show_scan(&self, scan: &Scan, arrived: Instant) {
         let latency = arrived.elapsed();
         self.scans.fetch_add(1, Ordering::Relaxed);
         lock(&self.picture_to_mesh).add(latency);
-        if self.scan.receiver_count() > 0 {
+        if self.is_scan_wanted.swap(false, Ordering::Relaxed) {
             let (tick, time_nanos, latency_nanos) = (scan.tick, scan.time_nanos, latency.as_nanos() as u64);
             self.scan.send_replace(Some(Arc::new(LiveScan { tick, time_nanos, scan: scan.clone(), latency_nanos })));
         }

@@ -5,6 +5,7 @@ use super::problem::Problem;
 use super::zip::ZipWriter;
 use crate::files::picture::PictureFormat;
 use crate::files::{ExportFormat, ExportWriter};
+use crate::live::{DiskStatus, Live};
 use crate::measure::Output;
 use crate::replay::Replay;
 use crate::store::SessionPlayer;
@@ -20,6 +21,9 @@ use std::path::{Path, PathBuf};
 const MAX_EXPORTED: usize = 1_000_000;
 /// Scans a second that may be asked for.
 const FPS_LIMITS: std::ops::RangeInclusive<f64> = 0.01..=1000.0;
+
+/// Free bytes above the floor that exports leave to recordings.
+const SPARED_BYTES: u64 = 200_000_000;
 
 /// What a job found.
 pub struct Report(pub Value);
@@ -42,6 +46,8 @@ pub enum Work {
         files: Vec<PathBuf>,
         /// Which.
         export: Export,
+        /// Knows what room must be left for recordings.
+        live: Live,
     },
     /// Distances between two sessions, tick by tick.
     Compare {
@@ -56,9 +62,9 @@ pub enum Work {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Export {
-    /// Output of the session.
+    /// Output of the session; the usual one of its mode if none is given.
     #[serde(default, rename = "as")]
-    output: Shown,
+    output: Option<Output>,
     /// Kind of files.
     format: Format,
     /// First tick; the first scan if none is given.
@@ -67,27 +73,6 @@ pub struct Export {
     last_tick: Option<u64>,
     /// Scans a second instead of the original times.
     fps: Option<f64>,
-}
-
-/// Output of a session, as the interface names it.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Shown {
-    /// Each scan as it was seen.
-    #[default]
-    Scan,
-    /// The tracked mesh.
-    Mesh,
-}
-
-impl Shown {
-    /// The player's word for it.
-    pub fn output(self) -> Output {
-        match self {
-            Self::Scan => Output::Scan,
-            Self::Mesh => Output::Mesh,
-        }
-    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -160,7 +145,7 @@ impl Work {
         match self {
             Self::Verify { files } => verify(files, progress),
             Self::Recover { files } => recover(files, progress),
-            Self::Export { files, export } => run_export(files, export, progress, result),
+            Self::Export { files, export, live } => run_export(files, export, live, progress, result),
             Self::Compare { files, with } => compare(files, with, progress, result),
         }
     }
@@ -217,8 +202,8 @@ fn recover(files: &[PathBuf], progress: &Progress) -> Ended {
     Ok(Some(Report(json!({ "files": reports }))))
 }
 
-fn run_export(files: &[PathBuf], export: &Export, progress: &Progress, result: &Path) -> Ended {
-    let mut player = open(files, export.output)?;
+fn run_export(files: &[PathBuf], export: &Export, live: &Live, progress: &Progress, result: &Path) -> Ended {
+    let mut player = SessionPlayer::open(files, export.output).map_err(words)?;
     let times = export.times(&player)?;
     progress.set_total(times.len() as u64);
     let format = match export.format {
@@ -229,6 +214,7 @@ fn run_export(files: &[PathBuf], export: &Export, progress: &Progress, result: &
     let writer = ExportWriter::create(folder.path(), format, true).map_err(words)?;
     let mut zip = ZipWriter::new(BufWriter::new(File::create(result).map_err(words)?));
     for (number, time_nanos) in &times {
+        leave_room(live)?;
         let scan = player.scan_at(*time_nanos).map_err(words)?;
         writer.write(*number, &scan.mesh, scan.texture.as_ref()).map_err(words)?;
         pack(folder.path(), &mut zip).map_err(words)?;
@@ -237,7 +223,16 @@ fn run_export(files: &[PathBuf], export: &Export, progress: &Progress, result: &
         }
     }
     let (_, bytes) = zip.finish().map_err(words)?;
-    Ok(Some(Report(json!({ "scans": times.len(), "bytes": bytes }))))
+    Ok(Some(Report(json!({ "as": player.output(), "scans": times.len(), "bytes": bytes }))))
+}
+
+/// Ends an export before it takes the room that recordings need.
+fn leave_room(live: &Live) -> Result<(), String> {
+    let DiskStatus { free_bytes, floor_bytes, .. } = live.status().disk;
+    match free_bytes > floor_bytes.saturating_add(SPARED_BYTES) || floor_bytes == 0 {
+        true => Ok(()),
+        false => Err(format!("{free_bytes} bytes are free on the disk, recordings need {floor_bytes} of them")),
+    }
 }
 
 /// Moves the files of one scan into the archive, in the order of their names.
@@ -252,17 +247,8 @@ fn pack(folder: &Path, zip: &mut ZipWriter<BufWriter<File>>) -> std::io::Result<
     Ok(())
 }
 
-fn open(files: &[PathBuf], shown: Shown) -> Result<SessionPlayer, String> {
-    let player = SessionPlayer::open(files, shown.output().played()).map_err(words)?;
-    let outputs = Output::of(player.mode());
-    match outputs.contains(&shown.output()) {
-        true => Ok(player),
-        false => Err(format!("a session of mode {} has the output mesh only", player.mode().name())),
-    }
-}
-
 fn compare(files: &[PathBuf], with: &[PathBuf], progress: &Progress, result: &Path) -> Ended {
-    let usual = |files: &[PathBuf]| SessionPlayer::open(files, gv3_codec::Output::Scan).map_err(words);
+    let usual = |files: &[PathBuf]| SessionPlayer::open(files, None).map_err(words);
     let (mut one, mut other) = (usual(files)?, usual(with)?);
     let times: std::collections::BTreeMap<u64, u64> = other.stamps().iter().map(|s| (s.tick, s.time_nanos)).collect();
     let shared: Vec<(u64, u64, u64)> =

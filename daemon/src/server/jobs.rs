@@ -71,6 +71,8 @@ impl Progress {
 struct Job {
     id: u64,
     session: SessionName,
+    /// The other session of a comparison.
+    with: Option<SessionName>,
     kind: &'static str,
     progress: Arc<Progress>,
     state: JobState,
@@ -147,12 +149,13 @@ impl Jobs {
         Ok(jobs)
     }
 
-    fn add(&self, session: SessionName, work: Work) -> Result<Value, Problem> {
+    fn add(&self, session: SessionName, with: Option<SessionName>, work: Work) -> Result<Value, Problem> {
         let id = self.last_id.fetch_add(1, Ordering::Relaxed) + 1;
         let mut table = locked(&self.table);
         let job = Job {
             id,
             session,
+            with,
             kind: work.kind(),
             progress: Arc::default(),
             state: JobState::Running,
@@ -181,6 +184,28 @@ impl Jobs {
         for job in locked(&self.table).values() {
             job.progress.is_cancelled.store(true, Ordering::Relaxed);
         }
+    }
+
+    /// Refuses what would take a session's files away from a job.
+    ///
+    /// # Errors
+    /// [`Problem`] 409 naming the job.
+    pub fn leave_alone(&self, session: &SessionName) -> Result<(), Problem> {
+        let table = locked(&self.table);
+        let needs = |job: &&Job| {
+            job.state == JobState::Running && (job.session == *session || job.with.as_ref() == Some(session))
+        };
+        match table.values().find(needs) {
+            None => Ok(()),
+            Some(Job { id, kind, .. }) => {
+                Err(Problem::conflict(format!("job {id} ({kind}) needs the session; wait for its end, or cancel it")))
+            }
+        }
+    }
+
+    /// Removes all results, for the end of the server.
+    pub fn forget_results(&self) {
+        locked(&self.table).values_mut().for_each(Job::remove_result);
     }
 
     /// Jobs that wait or are under way.
@@ -236,24 +261,25 @@ fn accepted(job: Value) -> Response {
 async fn add(
     shared: std::sync::Arc<Shared>,
     name: SessionName,
+    with: Option<SessionName>,
     work: impl FnOnce(&Shared, Vec<PathBuf>) -> Result<Work, Problem> + Send + 'static,
 ) -> Result<Response, Problem> {
     let job = shared.blocking(move |s| {
         let work = work(s, s.directory.files(&name)?)?;
-        s.jobs.add(name, work)
+        s.jobs.add(name, with, work)
     });
     Ok(accepted(job.await?))
 }
 
 /// POST /sessions/{name}/verify.
 pub async fn verify(axum::extract::State(shared): State, Name(name): Name) -> Result<Response, Problem> {
-    add(shared, name, |_, files| Ok(Work::Verify { files })).await
+    add(shared, name, None, |_, files| Ok(Work::Verify { files })).await
 }
 
 /// POST /sessions/{name}/recover.
 pub async fn recover(axum::extract::State(shared): State, Name(name): Name) -> Result<Response, Problem> {
     let asked = name.clone();
-    add(shared, name, move |s, files| match s.recording() {
+    add(shared, name, None, move |s, files| match s.recording() {
         Some(recording) if recording == asked => {
             Err(Problem::conflict("the session is being recorded; stop the recording first"))
         }
@@ -269,7 +295,7 @@ pub async fn export(
     Input(export): Input<Export>,
 ) -> Result<Response, Problem> {
     export.check()?;
-    add(shared, name, |_, files| Ok(Work::Export { files, export })).await
+    add(shared, name, None, |s, files| Ok(Work::Export { files, export, live: s.live.clone() })).await
 }
 
 #[derive(Deserialize)]
@@ -285,7 +311,8 @@ pub async fn compare(
     Input(compare): Input<Compare>,
 ) -> Result<Response, Problem> {
     let with = SessionName::new(&compare.with)?;
-    add(shared, name, move |s, files| Ok(Work::Compare { files, with: s.directory.files(&with)? })).await
+    let other = with.clone();
+    add(shared, name, Some(other), move |s, files| Ok(Work::Compare { files, with: s.directory.files(&with)? })).await
 }
 
 /// GET /jobs.

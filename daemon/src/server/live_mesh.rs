@@ -47,10 +47,10 @@ fn shared_size(most: usize) -> usize {
 
 async fn stream(shared: Arc<Shared>, sender: Sender, mut receiver: Receiver, mut pace: Pace, most: usize) -> End {
     let mut scans = shared.live.scans();
-    scans.mark_changed();
     loop {
         let next = async {
             pace.wait().await;
+            shared.live.want_scan();
             scans.changed().await
         };
         tokio::select! {

@@ -70,7 +70,6 @@ pub async fn upgrade(
 async fn stream(shared: Arc<Shared>, sender: Sender, mut receiver: Receiver, mut pace: Pace, view: View) -> End {
     let mut pictures = shared.live.pictures();
     let _wanted = view.needs_maps().then(|| shared.live.want_maps());
-    pictures.mark_changed();
     loop {
         let next = async {
             pace.wait().await;

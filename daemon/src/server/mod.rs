@@ -184,6 +184,7 @@ impl Server {
         }
         // Its connections end by themselves, or with the runtime.
         let _ = serving.await;
+        shared.jobs.forget_results();
         shared.directory.release();
         match stopped {
             Ok(Ok(())) => Ok(()),

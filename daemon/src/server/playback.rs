@@ -60,7 +60,6 @@ pub enum ScalarKind {
 pub struct Playback {
     player: SessionPlayer,
     files: Vec<PathBuf>,
-    output: Output,
     /// What errors are measured against, opened when they are asked for.
     other: Option<(Output, Option<SessionPlayer>)>,
     messages: MeshMessages,
@@ -77,19 +76,13 @@ pub struct Playback {
 
 impl Playback {
     /// Paused at the first scan.
-    pub fn new(
-        player: SessionPlayer,
-        files: Vec<PathBuf>,
-        output: Output,
-        other: Option<Output>,
-        max_vertices: usize,
-    ) -> Self {
+    pub fn new(player: SessionPlayer, files: Vec<PathBuf>, max_vertices: usize) -> Self {
+        let other = player.outputs().iter().find(|o| **o != player.output());
         Self {
-            player,
             files,
-            output,
-            other: other.map(|o| (o, None)),
-            messages: MeshMessages::new(max_vertices, output == Output::Mesh),
+            other: other.map(|o| (*o, None)),
+            messages: MeshMessages::new(max_vertices, player.output() == Output::Mesh),
+            player,
             at_seconds: 0.0,
             speed: 0.0,
             is_loop: false,
@@ -171,7 +164,7 @@ impl Playback {
         match self.scalars {
             ScalarKind::None => Ok(None),
             ScalarKind::Depth => Ok(Some(ScalarSource::Depth)),
-            ScalarKind::Motion if self.output == Output::Mesh => {
+            ScalarKind::Motion if self.player.output() == Output::Mesh => {
                 let before = time_nanos.saturating_sub(self.player.period_nanos()).max(self.player.first_nanos());
                 let earlier = self.player.scan_at(before).map_err(|e| e.to_string())?.mesh;
                 let is_same = earlier.triangles == scan.mesh.triangles;
@@ -181,7 +174,7 @@ impl Playback {
             ScalarKind::Error => {
                 let Some((output, player)) = &mut self.other else { return Ok(None) };
                 if player.is_none() {
-                    *player = Some(SessionPlayer::open(&self.files, output.played()).map_err(|e| e.to_string())?);
+                    *player = Some(SessionPlayer::open(&self.files, Some(*output)).map_err(|e| e.to_string())?);
                 }
                 let other = player.as_mut().map(|p| p.scan_at(time_nanos)).transpose().map_err(|e| e.to_string())?;
                 Ok(other.map(|other| ScalarSource::Error(Bvh::new(&other.mesh))))

@@ -70,7 +70,9 @@ impl From<StoreError> for Problem {
             StoreError::Name { .. } => StatusCode::BAD_REQUEST,
             StoreError::NotFound(_) => StatusCode::NOT_FOUND,
             StoreError::Exists(_) | StoreError::Recording(_) | StoreError::Locked { .. } => StatusCode::CONFLICT,
-            StoreError::Session(_) | StoreError::Replay(_) | StoreError::RawOnly(_) => StatusCode::UNPROCESSABLE_ENTITY,
+            StoreError::Session(_) | StoreError::Replay(_) | StoreError::RawOnly(_) | StoreError::Output { .. } => {
+                StatusCode::UNPROCESSABLE_ENTITY
+            }
             StoreError::Io { .. } => StatusCode::INTERNAL_SERVER_ERROR,
         };
         Self::new(status, error.to_string())

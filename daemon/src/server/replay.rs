@@ -4,7 +4,6 @@
 //! filling memory.
 
 use super::input::{Name, Query};
-use super::job_work::Shown;
 use super::jobs::yield_to_capture;
 use super::live_mesh::USUAL_VERTICES;
 use super::playback::{Command, Playback, play};
@@ -29,8 +28,8 @@ const MAX_COMMANDS: usize = 64;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Options {
-    #[serde(default, rename = "as")]
-    shown: Shown,
+    #[serde(rename = "as")]
+    output: Option<Output>,
     max_vertices: Option<usize>,
 }
 
@@ -92,13 +91,6 @@ async fn stream(
 }
 
 fn open(files: &[PathBuf], options: &Options) -> Result<Playback, String> {
-    let output = options.shown.output();
-    let player = SessionPlayer::open(files, output.played()).map_err(|e| e.to_string())?;
-    let outputs = Output::of(player.mode());
-    if !outputs.contains(&output) {
-        return Err(format!("a session of mode {} has the output mesh only", player.mode().name()));
-    }
-    let other = outputs.iter().copied().find(|o| *o != output);
-    let most = options.max_vertices.unwrap_or(USUAL_VERTICES);
-    Ok(Playback::new(player, files.to_vec(), output, other, most))
+    let player = SessionPlayer::open(files, options.output).map_err(|e| e.to_string())?;
+    Ok(Playback::new(player, files.to_vec(), options.max_vertices.unwrap_or(USUAL_VERTICES)))
 }

@@ -5,7 +5,6 @@ use super::problem::Problem;
 use super::shared::{Shared, State};
 use crate::device::plugged::Plugged;
 use crate::live::{LiveError, LiveStatus, RecordingRequest};
-use crate::store::SessionName;
 use axum::Json;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
@@ -30,8 +29,9 @@ pub struct Mark {
 
 impl From<LiveError> for Problem {
     fn from(error: LiveError) -> Self {
-        let status = match &error {
-            LiveError::Name(_) => StatusCode::BAD_REQUEST,
+        let status = match error {
+            LiveError::Store(error) => return error.into(),
+            LiveError::Text(_) => StatusCode::BAD_REQUEST,
             LiveError::State(_) | LiveError::Timeout(_) => StatusCode::CONFLICT,
             LiveError::Space { .. } => StatusCode::INSUFFICIENT_STORAGE,
             LiveError::Device(_) | LiveError::Record(_) | LiveError::Disk { .. } => StatusCode::SERVICE_UNAVAILABLE,
@@ -76,7 +76,6 @@ pub async fn start_recording(
     axum::extract::State(shared): State,
     Input(request): Input<RecordingRequest>,
 ) -> Result<impl IntoResponse, Problem> {
-    request.name.as_deref().map(SessionName::new).transpose()?;
     let started = shared.blocking(|s| Ok(s.live.start_recording(request)?)).await?;
     Ok((StatusCode::CREATED, Json(started)))
 }

@@ -4,7 +4,7 @@ use super::byte_range;
 use super::input::{Input, Name, Query};
 use super::problem::Problem;
 use super::shared::{Shared, State};
-use crate::store::{self, SessionDetail, SessionName, SessionSummary, StoreError};
+use crate::store::{Curve, SessionDetail, SessionName, SessionSummary, StoreError};
 use axum::Json;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -62,7 +62,7 @@ pub async fn one(axum::extract::State(shared): State, Name(name): Name) -> Resul
     let read = move |s: &Shared| {
         let mut summary = s.directory.summary(&name, s.recording().as_ref())?;
         with_live_figures(s, &mut summary);
-        let detail = match s.directory.files(&name).and_then(|files| store::detail(&files)) {
+        let detail = match s.directory.detail(&name) {
             Ok(detail) => detail,
             Err(StoreError::RawOnly(_)) => SessionDetail::default(),
             // What cannot be read is still listed, with the reason.
@@ -75,8 +75,8 @@ pub async fn one(axum::extract::State(shared): State, Name(name): Name) -> Resul
 }
 
 /// GET /sessions/{name}/curve.
-pub async fn curve(axum::extract::State(shared): State, Name(name): Name) -> Result<Json<store::Curve>, Problem> {
-    Ok(Json(shared.blocking(move |s| Ok(store::curve(&s.directory.files(&name)?)?)).await?))
+pub async fn curve(axum::extract::State(shared): State, Name(name): Name) -> Result<Json<Curve>, Problem> {
+    Ok(Json(shared.blocking(move |s| Ok(s.directory.curve(&name)?)).await?))
 }
 
 /// PATCH /sessions/{name}.
@@ -88,6 +88,7 @@ pub async fn rename(
     let to = SessionName::new(&new.name)?;
     let renamed = move |s: &Shared| {
         let recording = s.recording();
+        s.jobs.leave_alone(&from)?;
         s.directory.rename(&from, &to, recording.as_ref())?;
         Ok(s.directory.summary(&to, recording.as_ref())?)
     };
@@ -96,7 +97,11 @@ pub async fn rename(
 
 /// DELETE /sessions/{name}.
 pub async fn remove(axum::extract::State(shared): State, Name(name): Name) -> Result<StatusCode, Problem> {
-    shared.blocking(move |s| Ok(s.directory.delete(&name, s.recording().as_ref())?)).await?;
+    let delete = move |s: &Shared| {
+        s.jobs.leave_alone(&name)?;
+        Ok(s.directory.delete(&name, s.recording().as_ref())?)
+    };
+    shared.blocking(delete).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

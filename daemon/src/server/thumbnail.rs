@@ -1,12 +1,11 @@
-//! A small picture of a session: its middle scan, shaded.
+//! A small picture of a session: its middle keyframe, shaded.
 
 use super::jobs::yield_to_capture;
 use super::problem::Problem;
-use crate::store::SessionPlayer;
+use crate::store::middle_keyframe;
 use crate::view::compare::png_bytes;
 use crate::view::render::{DARK_BACKGROUND, RenderStyle, Surface, ViewFrame, ViewSide, render};
 use bytes::Bytes;
-use gv3_codec::Output;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::SystemTime;
@@ -63,10 +62,7 @@ impl Thumbnails {
 /// # Errors
 /// [`Problem`] 422 when nothing can be decoded.
 fn draw(files: &[PathBuf]) -> Result<Vec<u8>, Problem> {
-    let mut player = SessionPlayer::open(files, Output::default())?;
-    let keys: Vec<u64> = player.stamps().iter().filter(|s| s.is_key).map(|s| s.time_nanos).collect();
-    let time = keys.get(keys.len() / 2).copied().unwrap_or_else(|| player.first_nanos());
-    let scan = player.scan_at(time)?;
+    let scan = middle_keyframe(files)?;
     let surface = scan.texture.as_ref().map_or(Surface::Clay, Surface::Texture);
     let frame = ViewFrame::fit(&[&scan.mesh], ViewSide::default());
     let style = RenderStyle { width_px: WIDTH_PX, height_px: HEIGHT_PX, background: DARK_BACKGROUND };

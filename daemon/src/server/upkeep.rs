@@ -89,18 +89,36 @@ pub async fn repair(shared: Arc<Shared>) {
     }
 }
 
+/// The system's time, but not further on than this process has lived: a clock that jumps ahead makes no session old.
+struct SteadyClock {
+    begun: SystemTime,
+    since: Instant,
+}
+
+impl SteadyClock {
+    fn start() -> Self {
+        Self { begun: SystemTime::now(), since: Instant::now() }
+    }
+
+    fn now(&self, system: SystemTime) -> SystemTime {
+        system.min(self.begun + self.since.elapsed())
+    }
+}
+
 /// Deletes what is too old or too much, every minute.
 pub async fn retain(shared: Arc<Shared>) {
+    let clock = SteadyClock::start();
     let mut ticks = interval(RETAIN_PERIOD);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         ticks.tick().await;
-        let work = |s: &Shared| {
+        let now = clock.now(SystemTime::now());
+        let work = move |s: &Shared| {
             let sessions = s.live.config().sessions;
             let retention = Retention { keep_days: sessions.keep_days, keep_bytes: sessions.keep_bytes };
             match retention == Retention::default() {
                 true => Ok(Vec::new()),
-                false => Ok(expire(&s.directory, &retention, SystemTime::now(), s.recording().as_ref())?),
+                false => Ok(expire(&s.directory, &retention, now, s.recording().as_ref())?),
             }
         };
         match shared.blocking(work).await {
@@ -131,6 +149,14 @@ pub async fn reload(shared: Arc<Shared>, asked: Arc<Wakeup>, notify: Arc<Notify>
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_clock_that_jumps_ahead_makes_nothing_old_and_one_that_falls_back_is_followed() {
+        let clock = SteadyClock::start();
+        let (hour, year) = (Duration::from_secs(3600), Duration::from_secs(31_557_600));
+        assert!(clock.now(clock.begun + year) < clock.begun + hour);
+        assert_eq!(clock.now(clock.begun - year), clock.begun - year);
+    }
 
     #[test]
     fn sets_without_scans_are_a_hang_and_silence_is_none() {

@@ -1,14 +1,16 @@
 //! What session files hold, read without decoding a surface.
 
 use super::StoreError;
+use crate::measure::Output;
 use crate::replay::ReplayError;
 use gv3_codec::{StreamHeader, decode_stamps};
-use gv3_protocol::session::{EventKind, SessionReader, SessionState, key};
+use gv3_protocol::session::{Event, EventKind, SessionReader, SessionState, key};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use std::sync::Arc;
 
 /// Figures of one session file.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,6 +19,8 @@ pub struct FileContents {
     pub is_finished: bool,
     /// Coding mode.
     pub mode: String,
+    /// What can be shown of it, the usual first.
+    pub outputs: &'static [Output],
     /// When it was begun, nanoseconds since 1970.
     pub created_unix_nanos: Option<u64>,
     /// Scans.
@@ -46,9 +50,12 @@ impl FileContents {
         let session = reader.metadata().group(key::SESSION);
         let mode = session.and_then(|s| s.get(key::MODE)).unwrap_or("unknown").to_owned();
         let created_unix_nanos = session.and_then(|s| s.number(key::CREATED_UNIX_NANOS)).filter(|&nanos| nanos > 0);
-        let period_nanos = match reader.streams().is_empty() {
-            true => 0,
-            false => header(path, &mut reader, 0)?.scan_period_nanos,
+        let (period_nanos, outputs): (u64, &[Output]) = match reader.streams().is_empty() {
+            true => (0, &[]),
+            false => {
+                let header = header(path, &mut reader, 0)?;
+                (header.scan_period_nanos, Output::of(header.mode))
+            }
         };
         let groups = reader.groups();
         let ends = groups.first().zip(groups.last()).map_or((0, 0), |(a, b)| (a.first_tick, b.key_tick));
@@ -60,6 +67,7 @@ impl FileContents {
         Ok(Self {
             is_finished: *reader.state() == SessionState::Clean,
             mode,
+            outputs,
             created_unix_nanos,
             scans,
             keyframes,
@@ -115,43 +123,64 @@ pub struct Curve {
     pub is_key: Vec<bool>,
 }
 
-/// Reads the detail of a session from its segments.
-///
-/// # Errors
-/// As [`FileContents::read`].
-pub fn detail(segments: &[PathBuf]) -> Result<SessionDetail, StoreError> {
-    let mut detail = SessionDetail::default();
-    for path in segments {
-        let mut reader = SessionReader::open(path)?;
-        if !reader.streams().is_empty() {
-            detail.period_nanos = header(path, &mut reader, 0)?.scan_period_nanos;
-        }
-        detail.groups.extend(group_figures(path, &mut reader)?);
-        for event in reader.events()? {
-            if let EventKind::Drop { cause, count } = &event.kind {
-                *detail.drops.entry(cause.clone()).or_default() += count;
-            }
-            detail.events.push(event_value(&event));
-        }
-    }
-    let ends = detail.groups.first().zip(detail.groups.last());
-    if let Some((first, last)) = ends.and_then(|(a, b)| a.ticks.first().copied().zip(Some(b.key_tick))) {
-        let scans: u64 = detail.groups.iter().map(|g| g.scans).sum();
-        (detail.first_tick, detail.last_tick) = (first, last);
-        detail.missing_ticks = (last - first + 1).saturating_sub(scans);
-    }
-    Ok(detail)
+/// What every group of one file holds, and its events.
+#[derive(Debug, Clone)]
+pub struct FileGroups {
+    period_nanos: u64,
+    groups: Vec<GroupFigures>,
+    events: Vec<Event>,
 }
 
-/// Reads the bytes of every scan.
-///
-/// # Errors
-/// As [`FileContents::read`].
-pub fn curve(segments: &[PathBuf]) -> Result<Curve, StoreError> {
-    let mut curve = Curve::default();
-    for path in segments {
+impl FileGroups {
+    /// Reads all groups.
+    ///
+    /// # Errors
+    /// As [`FileContents::read`].
+    pub fn read(path: &Path) -> Result<Self, StoreError> {
         let mut reader = SessionReader::open(path)?;
-        for group in group_figures(path, &mut reader)? {
+        let period_nanos = match reader.streams().is_empty() {
+            true => 0,
+            false => header(path, &mut reader, 0)?.scan_period_nanos,
+        };
+        let groups = group_figures(path, &mut reader)?;
+        Ok(Self { period_nanos, groups, events: reader.events()? })
+    }
+
+    /// Scans and events.
+    pub fn entries(&self) -> u64 {
+        self.groups.iter().map(|g| g.scans).sum::<u64>() + self.events.len() as u64
+    }
+}
+
+impl SessionDetail {
+    /// Of a session's files in time order.
+    pub fn of(files: &[Arc<FileGroups>]) -> Self {
+        let mut detail = Self::default();
+        for file in files {
+            detail.period_nanos = file.period_nanos;
+            detail.groups.extend_from_slice(&file.groups);
+            for event in &file.events {
+                if let EventKind::Drop { cause, count } = &event.kind {
+                    *detail.drops.entry(cause.clone()).or_default() += count;
+                }
+                detail.events.push(event_value(event));
+            }
+        }
+        let ends = detail.groups.first().zip(detail.groups.last());
+        if let Some((first, last)) = ends.and_then(|(a, b)| a.ticks.first().copied().zip(Some(b.key_tick))) {
+            let scans: u64 = detail.groups.iter().map(|g| g.scans).sum();
+            (detail.first_tick, detail.last_tick) = (first, last);
+            detail.missing_ticks = (last.saturating_sub(first) + 1).saturating_sub(scans);
+        }
+        detail
+    }
+}
+
+impl Curve {
+    /// Of a session's files in time order.
+    pub fn of(files: &[Arc<FileGroups>]) -> Self {
+        let mut curve = Self::default();
+        for group in files.iter().flat_map(|file| &file.groups) {
             let share = group.bytes / group.scans.max(1);
             for &tick in &group.ticks {
                 let is_key = tick == group.key_tick;
@@ -160,8 +189,8 @@ pub fn curve(segments: &[PathBuf]) -> Result<Curve, StoreError> {
                 curve.is_key.push(is_key);
             }
         }
+        curve
     }
-    Ok(curve)
 }
 
 fn header(path: &Path, reader: &mut SessionReader<File>, stream: usize) -> Result<StreamHeader, StoreError> {

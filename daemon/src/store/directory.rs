@@ -1,18 +1,25 @@
 //! Lists, renames and deletes sessions; one process at a time has the directory.
 
-use super::contents::FileContents;
+use super::contents::{Curve, FileContents, FileGroups, SessionDetail};
+use super::file_cache::FileCache;
 use super::{SessionName, StoreError, rfc3339};
+use crate::measure::Output;
 use rustix::fs::{CWD, FlockOperation, RenameFlags};
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::SystemTime;
 
 /// File whose lock says that the directory is in use.
 const LOCK_FILE: &str = ".gv3.lock";
+
+/// Files of which the figures are kept.
+const MOST_CONTENTS: u64 = 100_000;
+/// Scans and events of which the figures are kept: some 20 MB.
+const MOST_ENTRIES: u64 = 1_000_000;
 
 /// How a session stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -49,6 +56,8 @@ pub struct SessionSummary {
     pub state: State,
     /// Coding mode; `raw` for pictures alone, empty when no segment can be read.
     pub mode: String,
+    /// What can be shown of it, the usual first: `scan`, `mesh`.
+    pub outputs: Vec<Output>,
     /// Files.
     pub segments: u32,
     /// Bytes of the raw pictures kept beside it, where there are any.
@@ -57,13 +66,6 @@ pub struct SessionSummary {
     /// Why it is damaged.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fault: Option<String>,
-}
-
-/// A file's figures as of a time of change and a length.
-struct Cached {
-    modified: Option<SystemTime>,
-    bytes: u64,
-    contents: Result<Arc<FileContents>, String>,
 }
 
 /// One segment on disk.
@@ -78,7 +80,9 @@ pub(super) struct Segment {
 /// An open session directory, locked against other processes for as long as it lives.
 pub struct SessionDirectory {
     path: PathBuf,
-    cache: Mutex<BTreeMap<PathBuf, Cached>>,
+    /// Why a file cannot be read is kept too.
+    contents: FileCache<Result<Arc<FileContents>, String>>,
+    groups: FileCache<Arc<FileGroups>>,
     lock: File,
 }
 
@@ -112,7 +116,7 @@ impl SessionDirectory {
         });
         written.map_err(StoreError::io(&lock_path, "write"))?;
         remove_parts(&path);
-        Ok(Self { path, cache: Mutex::new(BTreeMap::new()), lock })
+        Ok(Self { path, contents: FileCache::new(MOST_CONTENTS), groups: FileCache::new(MOST_ENTRIES), lock })
     }
 
     /// The directory.
@@ -133,8 +137,9 @@ impl SessionDirectory {
     /// [`StoreError::Io`] when the directory cannot be read.
     pub fn list(&self, recording: Option<&SessionName>) -> Result<Vec<SessionSummary>, StoreError> {
         let all = self.segments()?;
-        let known: Vec<&PathBuf> = all.values().flatten().map(|s| &s.path).collect();
-        self.cache().retain(|path, _| known.contains(&path));
+        let known: BTreeSet<&PathBuf> = all.values().flatten().map(|s| &s.path).collect();
+        self.contents.retain(|path| known.contains(path));
+        self.groups.retain(|path| known.contains(path));
         Ok(all.iter().map(|(name, segments)| self.summarize(name, segments, recording == Some(name))).collect())
     }
 
@@ -153,6 +158,22 @@ impl SessionDirectory {
     pub fn files(&self, name: &SessionName) -> Result<Vec<PathBuf>, StoreError> {
         let files: Vec<PathBuf> = self.segments_of(name)?.into_iter().map(|s| s.path).collect();
         if files.is_empty() { Err(StoreError::RawOnly(name.to_string())) } else { Ok(files) }
+    }
+
+    /// All that is told of a session without decoding a surface.
+    ///
+    /// # Errors
+    /// As [`Self::files`], and what [`FileGroups::read`] says.
+    pub fn detail(&self, name: &SessionName) -> Result<SessionDetail, StoreError> {
+        Ok(SessionDetail::of(&self.all_groups(name)?))
+    }
+
+    /// Bytes of every scan.
+    ///
+    /// # Errors
+    /// As [`Self::detail`].
+    pub fn curve(&self, name: &SessionName) -> Result<Curve, StoreError> {
+        Ok(Curve::of(&self.all_groups(name)?))
     }
 
     /// Gives a session another name, all its files or none.
@@ -252,19 +273,29 @@ impl SessionDirectory {
         self.segments()?.remove(name).ok_or_else(|| StoreError::NotFound(name.to_string()))
     }
 
-    fn cache(&self) -> std::sync::MutexGuard<'_, BTreeMap<PathBuf, Cached>> {
-        self.cache.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn contents(&self, segment: &Segment) -> Result<Arc<FileContents>, String> {
-        let fits = |c: &&Cached| c.bytes == segment.bytes && c.modified == segment.modified;
-        if let Some(cached) = self.cache().get(&segment.path).filter(fits) {
-            return cached.contents.clone();
+        if let Some(contents) = self.contents.get(segment) {
+            return contents;
         }
         let contents = FileContents::read(&segment.path).map(Arc::new).map_err(|e| e.to_string());
-        let cached = Cached { modified: segment.modified, bytes: segment.bytes, contents: contents.clone() };
-        self.cache().insert(segment.path.clone(), cached);
+        self.contents.put(segment, contents.clone(), 1);
         contents
+    }
+
+    fn groups(&self, segment: &Segment) -> Result<Arc<FileGroups>, StoreError> {
+        if let Some(groups) = self.groups.get(segment) {
+            return Ok(groups);
+        }
+        let groups = Arc::new(FileGroups::read(&segment.path)?);
+        self.groups.put(segment, Arc::clone(&groups), groups.entries());
+        Ok(groups)
+    }
+
+    fn all_groups(&self, name: &SessionName) -> Result<Vec<Arc<FileGroups>>, StoreError> {
+        match self.segments_of(name)? {
+            segments if segments.is_empty() => Err(StoreError::RawOnly(name.to_string())),
+            segments => segments.iter().map(|segment| self.groups(segment)).collect(),
+        }
     }
 
     fn summarize(&self, name: &SessionName, segments: &[Segment], is_recording: bool) -> SessionSummary {
@@ -281,6 +312,7 @@ impl SessionDirectory {
             created: None,
             state: State::Complete,
             mode: if segments.is_empty() { "raw".into() } else { String::new() },
+            outputs: Vec::new(),
             segments: segments.len() as u32,
             raw_bytes,
             fault: None,
@@ -310,6 +342,7 @@ impl SessionDirectory {
             summary.scans += c.scans;
             summary.keyframes += c.keyframes;
             summary.mode.clone_from(&c.mode);
+            summary.outputs = c.outputs.to_vec();
             summary.created = summary.created.take().or_else(|| c.created_unix_nanos.map(rfc3339));
             obj_bmp_bytes = obj_bmp_bytes.zip(c.obj_bmp_bytes).map(|(a, b)| a + b);
             if c.keyframes > 0 {
@@ -332,8 +365,9 @@ fn remove_parts(folder: &Path) {
     }
 }
 
-/// Bytes of the files of a folder; what cannot be read counts nothing.
-fn folder_bytes(folder: &Path) -> u64 {
-    let entries = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+/// Bytes of the files of a folder, no link to one; what cannot be read counts nothing.
+pub(super) fn folder_bytes(folder: &Path) -> u64 {
+    let is_folder = fs::symlink_metadata(folder).is_ok_and(|m| m.is_dir());
+    let entries = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok).filter(|_| is_folder);
     entries.filter_map(|e| e.metadata().ok()).filter(fs::Metadata::is_file).map(|m| m.len()).sum()
 }

@@ -5,20 +5,22 @@
 
 mod contents;
 mod directory;
+mod file_cache;
 mod name;
 mod player;
 mod repair;
 mod retention;
 mod time_text;
 
-pub use contents::{Curve, FileContents, GroupFigures, SessionDetail, curve, detail, event_value};
+pub use contents::{Curve, FileContents, FileGroups, GroupFigures, SessionDetail, event_value};
 pub use directory::{SessionDirectory, SessionSummary, State};
 pub use name::SessionName;
-pub use player::SessionPlayer;
+pub use player::{SessionPlayer, middle_keyframe};
 pub use repair::{Repaired, repair};
 pub use retention::{Expired, Retention, expire};
 pub use time_text::rfc3339;
 
+use crate::measure::Output;
 use gv3_protocol::session::SessionError;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -43,6 +45,16 @@ pub enum StoreError {
     /// A session of that name is there already.
     #[error("there is a session {0:?} already; choose another name")]
     Exists(String),
+    /// The session cannot be shown like that.
+    #[error("a session of mode {mode} has no output {wanted:?}; it has {outputs:?}")]
+    Output {
+        /// What was asked for.
+        wanted: Output,
+        /// The session's mode.
+        mode: &'static str,
+        /// What it has.
+        outputs: &'static [Output],
+    },
     /// The session is being recorded.
     #[error("session {0:?} is being recorded; stop the recording first")]
     Recording(String),

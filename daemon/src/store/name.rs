@@ -1,8 +1,11 @@
 //! Names that sessions may have: they can neither leave the session directory nor be mistaken for another file of it.
 
 use super::StoreError;
+use super::time_text::time_name;
 use serde::Serialize;
 use std::fmt;
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Longest name, bytes; with its endings it fits any file system.
 pub const MAX_NAME_BYTES: usize = 120;
@@ -24,6 +27,35 @@ impl SessionName {
             Some(reason) => Err(StoreError::Name { name: name.chars().take(MAX_NAME_BYTES).collect(), reason }),
             None => Ok(Self(name.into())),
         }
+    }
+
+    /// A name made of a time, UTC: `2026-07-30_14-05-09`, with a number where a session of the folder has it.
+    ///
+    /// # Errors
+    /// [`StoreError::Exists`] when a thousand of them are taken, [`StoreError::Io`] when the folder cannot be read.
+    pub fn of_time(now: SystemTime, folder: &Path) -> Result<Self, StoreError> {
+        let base = time_name(now.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs()));
+        for name in std::iter::once(base.clone()).chain((2..1000).map(|n| format!("{base}-{n}"))) {
+            let name = Self::new(&name)?;
+            if name.is_free(folder)? {
+                return Ok(name);
+            }
+        }
+        Err(StoreError::Exists(base))
+    }
+
+    /// Whether nothing in a folder is a file of a session of this name, or its raw pictures.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`] when the folder cannot be read.
+    pub fn is_free(&self, folder: &Path) -> Result<bool, StoreError> {
+        let entries = std::fs::read_dir(folder).map_err(StoreError::io(folder, "read"))?;
+        let raw = self.raw_folder();
+        Ok(!entries.filter_map(Result::ok).any(|entry| {
+            let file = entry.file_name();
+            let file = file.to_str().unwrap_or_default();
+            file == raw || Self::of_file(file).is_some_and(|(name, _)| name == *self)
+        }))
     }
 
     /// The name and the number of the segment (from 1) of a file of the session directory; `None` for other files.
@@ -89,7 +121,8 @@ fn fault(name: &str) -> Option<&'static str> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use std::path::{Component, Path};
+    use std::path::Component;
+    use std::time::Duration;
 
     #[test]
     fn names_that_leave_the_directory_or_look_like_other_files_are_refused() {
@@ -115,6 +148,23 @@ mod tests {
         for other in ["smile.gv3.part", "smile.raw", ".gv3.lock", ".x.gv3", "notes.txt", "a b.gv3"] {
             assert_eq!(SessionName::of_file(other), None, "{other}");
         }
+    }
+
+    #[test]
+    fn names_of_times_are_not_taken_twice_whatever_the_clock_does() {
+        let folder = tempfile::tempdir().unwrap();
+        let now = UNIX_EPOCH + Duration::from_secs(951_827_696);
+        let name = |now| SessionName::of_time(now, folder.path()).unwrap().to_string();
+        for (taken, next) in [
+            ("2000-02-29_12-34-56.gv3", "2000-02-29_12-34-56-2"),
+            ("2000-02-29_12-34-56-2.0003.gv3", "2000-02-29_12-34-56-3"),
+            ("2000-02-29_12-34-56-3.raw", "2000-02-29_12-34-56-4"),
+            ("notes.txt", "2000-02-29_12-34-56-4"),
+        ] {
+            std::fs::write(folder.path().join(taken), "").unwrap();
+            assert_eq!(name(now), next);
+        }
+        assert_eq!(name(UNIX_EPOCH - Duration::from_secs(5)), "1970-01-01_00-00-00");
     }
 
     proptest! {

@@ -1,6 +1,6 @@
 //! How long sessions are kept: by age, and by what all of them weigh together, the oldest going first.
 
-use super::directory::Segment;
+use super::directory::{Segment, folder_bytes};
 use super::{SessionDirectory, SessionName, StoreError};
 use std::time::{Duration, SystemTime};
 
@@ -50,14 +50,13 @@ pub fn expire(
 
 fn aged(directory: &SessionDirectory, recording: Option<&SessionName>) -> Result<Vec<Aged>, StoreError> {
     let mut all = Vec::new();
-    for summary in directory.list(recording)? {
-        let segments = directory.segments()?.remove(&summary.name).unwrap_or_default();
-        let raw = directory.path().join(summary.name.raw_folder());
-        let raw_modified = std::fs::symlink_metadata(raw).and_then(|m| m.modified()).ok();
+    for (name, segments) in directory.segments()? {
+        let raw = directory.path().join(name.raw_folder());
+        let raw_modified = std::fs::symlink_metadata(&raw).and_then(|m| m.modified()).ok();
         let modified = segments.iter().map(|s: &Segment| s.modified).max().flatten().or(raw_modified);
-        if let Some(modified) = modified.filter(|_| recording != Some(&summary.name)) {
-            let bytes = summary.bytes + summary.raw_bytes.unwrap_or(0);
-            all.push(Aged { name: summary.name, modified, bytes });
+        if let Some(modified) = modified.filter(|_| recording != Some(&name)) {
+            let bytes = segments.iter().map(|s| s.bytes).sum::<u64>() + folder_bytes(&raw);
+            all.push(Aged { name, modified, bytes });
         }
     }
     Ok(all)

@@ -1,8 +1,8 @@
 //! A server on a port of its own, and plain clients.
 
-use crate::device::RigConfig;
 use crate::files::SessionsConfig;
 use crate::live::{Live, LiveConfig};
+use crate::pipeline::test_rig::small_rig;
 use crate::server::{Notify, Server, ServerConfig, ServerError, Token};
 use crate::store::SessionDirectory;
 use serde_json::Value;
@@ -21,21 +21,6 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 /// Far longer than anything takes on the slowest machine.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 pub const TOKEN: &str = "0123456789abcdef0123456789abcdef";
-
-/// The simulated scanner with a camera of 160x120 at 30 scans a second: little work.
-pub fn small_rig() -> RigConfig {
-    let mut rig = RigConfig::simulated();
-    let mut calibration = rig.calibration.unwrap();
-    let camera = &mut calibration.camera;
-    (camera.width_px, camera.height_px) = (160, 120);
-    for px in [&mut camera.fx_px, &mut camera.fy_px, &mut camera.cx_px, &mut camera.cy_px] {
-        *px /= 4.0;
-    }
-    rig.calibration = Some(calibration);
-    (rig.camera.width_px, rig.camera.height_px) = (160, 120);
-    rig.limits.mesh.min_piece_px = 50;
-    rig
-}
 
 pub fn config(folder: &Path) -> LiveConfig {
     let sessions = SessionsConfig {

@@ -44,10 +44,8 @@ fn check(document: &Value, schema: &Value, value: &Value, at: &str) -> Result<()
             }
             "additionalProperties" => {
                 let known = schema["properties"].as_object().unwrap();
-                let others = value.as_object().into_iter().flatten().filter(|(name, _)| !known.contains_key(*name));
-                others
-                    .map(|(_, v)| if rule.is_object() { check(document, rule, v, at).is_ok() } else { false })
-                    .all(|ok| ok)
+                let mut others = value.as_object().into_iter().flatten().filter(|(name, _)| !known.contains_key(*name));
+                others.all(|(_, v)| rule.is_object() && check(document, rule, v, at).is_ok())
             }
             other => return Err(format!("{at}: keyword {other} is not known here")),
         };

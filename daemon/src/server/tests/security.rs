@@ -130,3 +130,45 @@ async fn malformed_websocket_traffic_ends_that_socket_alone() {
     assert_eq!(server.get("/healthz").await.status, 200);
     server.stop().await.1.unwrap();
 }
+
+/// Requests and frames that were right once, with bytes changed, left out and put in.
+#[tokio::test(flavor = "multi_thread")]
+async fn damaged_traffic_does_no_harm() {
+    let server = Running::start().await;
+    let request = format!(
+        "POST /api/v1/recording/mark HTTP/1.1\r\nHost: {0}\r\nOrigin: http://{0}\r\nContent-Type: application/json\r\n\
+         Content-Length: 12\r\nConnection: close\r\n\r\n{{\"text\":\"a\"}}",
+        server.address
+    );
+    let upgrade = format!(
+        "GET /api/v1/live/mesh?fps=10 HTTP/1.1\r\nHost: {}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+         Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n\u{1}\u{1}\u{1}\u{1}",
+        server.address
+    );
+    let mut state = 1u64;
+    let mut random = |below: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below
+    };
+    for n in 0..300 {
+        let mut bytes = [&request, &upgrade][n % 2].clone().into_bytes();
+        for _ in 0..=random(4) {
+            let at = random(bytes.len());
+            match random(3) {
+                0 => bytes[at] = random(256) as u8,
+                1 => drop(bytes.drain(at..(at + random(9)).min(bytes.len()))),
+                _ => drop(bytes.splice(at..at, (0..random(9)).map(|_| 0xffu8))),
+            }
+        }
+        let mut stream = TcpStream::connect(server.address).await.unwrap();
+        let _ = stream.write_all(&bytes).await;
+        // Gone at once, or after a look at the answer.
+        if n % 3 == 0 {
+            let mut answer = [0; 64];
+            let _ = tokio::time::timeout(Duration::from_millis(20), stream.read(&mut answer)).await;
+        }
+    }
+    assert_eq!(server.get("/healthz").await.status, 200);
+    assert_eq!(server.live.status().state.name(), "idle");
+    server.stop().await.1.unwrap();
+}

@@ -40,9 +40,34 @@ async fn a_recording_lives_through_all_that_is_done_with_it() {
     assert_eq!(zip.body.len() as u64, exported["result_bytes"].as_u64().unwrap());
     let meshes = zip.body.windows(4).filter(|w| w == b"PK\x01\x02").count();
     assert!(meshes as u64 >= stopped["scans"].as_u64().unwrap(), "{meshes}");
+    let usual =
+        server.job(server.post("/api/v1/sessions/smile/export", r#"{"format":"obj","last_tick":3}"#).await).await;
+    assert_eq!((&usual["report"]["as"], &usual["report"]["scans"]), (&"scan".into(), &4.into()), "{usual}");
+    assert_eq!(listed["sessions"][0]["outputs"], serde_json::json!(["scan", "mesh"]));
+    for wrong in [r#"{"as":"points","format":"obj"}"#, r#"{"format":"stl"}"#, "{}", r#"{"format":"obj","fps":0}"#] {
+        assert_eq!(server.post("/api/v1/sessions/smile/export", wrong).await.status, 400, "{wrong}");
+    }
     let compared = server.job(server.post("/api/v1/sessions/smile/compare", r#"{"with":"smile"}"#).await).await;
     assert_eq!(compared["report"]["rms_mm_all"].as_f64(), Some(0.0), "{compared}");
 
+    let picture = server.get("/api/v1/sessions/smile/thumbnail.png").await;
+    let picture = image::load_from_memory(&picture.body).unwrap().into_rgb8();
+    let lit = picture.pixels().filter(|p| p.0 != crate::view::render::DARK_BACKGROUND).count();
+    assert!(picture.dimensions() == (320, 240) && lit > 3000, "{lit}");
+
+    let mut jobs = Vec::new();
+    for _ in 0..4 {
+        jobs.push(server.post("/api/v1/sessions/smile/export", r#"{"format":"ply"}"#).await);
+    }
+    // The last waits for the others.
+    for (method, body) in [("DELETE", ""), ("PATCH", r#"{"name":"grin"}"#)] {
+        assert_eq!(server.request(method, "/api/v1/sessions/smile", &[], body).await.status, 409, "{method}");
+    }
+    for job in jobs {
+        let path = format!("/api/v1/jobs/{}", job.json()["id"].as_str().unwrap());
+        assert_eq!(server.request("DELETE", &path, &[], "").await.status, 204);
+        assert_ne!(server.job(job).await["state"], "failed");
+    }
     let renamed = server.request("PATCH", "/api/v1/sessions/smile", &[], r#"{"name":"grin"}"#).await;
     assert_eq!(renamed.json()["name"], "grin");
     assert_eq!(server.get("/api/v1/sessions/smile").await.status, 404);
