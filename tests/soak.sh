@@ -23,6 +23,8 @@ step "six patterns" "$GV3" bench live --seconds "$seconds" --check
 step "three patterns" "$GV3" bench live --patterns 3 --seconds "$seconds" --check
 step "simulator" "$GV3" bench live --sim --patterns 3 --seconds "$seconds" --check
 step "200 kills" cargo test --locked -p gv3 --test live_kill -- --ignored
+step "memory limit" cargo test --locked -p gv3 --test memory_limit -- --ignored
+step "SIGTERM" cargo test --locked -p gv3 --test served -- --ignored
 step "a day" cargo test --locked -p gv3 --lib live::tests::day -- --ignored
 step "random faults" env PROPTEST_CASES=2000 PROPTEST_RNG_SEED=$RANDOM cargo test --locked -p gv3-protocol
 echo "== $failed failed"

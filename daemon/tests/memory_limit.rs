@@ -1,4 +1,5 @@
 //! A limit on memory: a recording at full rate stays far within that of the service, and what a limit kills recovers.
+//! `cargo test -p gv3 --test memory_limit -- --ignored`.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
@@ -62,6 +63,7 @@ fn groups(place: &Place) -> usize {
 }
 
 #[test]
+#[ignore = "slow: records at full rate"]
 fn full_rate_stays_within_a_limit() {
     let place = Place::new();
     let mut recording = Recording::start(&place, "3");
@@ -70,6 +72,7 @@ fn full_rate_stays_within_a_limit() {
 }
 
 #[test]
+#[ignore = "slow: records at full rate"]
 fn what_a_limit_kills_recovers_to_its_last_group() {
     let place = Place::new();
     let mut recording = Recording::start(&place, "3600");

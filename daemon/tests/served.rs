@@ -83,7 +83,9 @@ impl Drop for Daemon {
     }
 }
 
+/// `cargo test -p gv3 --test served -- --ignored`.
 #[test]
+#[ignore = "slow: starts the daemon four times"]
 fn the_manager_hears_of_it_all_and_sigterm_leaves_whole_files_in_every_state() {
     let place = Place::new();
     // Idle; with a configuration read again, and a watchdog that is fed.

@@ -45,8 +45,8 @@ struct Target {
     #[arg(long, value_name = "DIR")]
     prefix: Option<PathBuf>,
     /// Put everything below this folder instead of /, as for a package.
-    #[arg(long, value_name = "DIR", default_value = "")]
-    root: PathBuf,
+    #[arg(long, value_name = "DIR")]
+    root: Option<PathBuf>,
     /// Report as JSON.
     #[arg(long)]
     json: bool,
@@ -85,12 +85,13 @@ impl Target {
             ensure!(prefix.is_absolute(), "{}: give --prefix as an absolute path", prefix.display());
         }
         let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path: &PathBuf| path.is_absolute());
+        let root = self.root.clone().unwrap_or_default();
         if self.user {
             let home = variable("HOME").context("HOME names no folder; give the whole machine's: gv3 install")?;
-            return Ok(Places::user(self.root.clone(), self.prefix.clone(), &home, variable("XDG_CONFIG_HOME")));
+            return Ok(Places::user(root, self.prefix.clone(), &home, variable("XDG_CONFIG_HOME")));
         }
         let prefix = self.prefix.clone().unwrap_or_else(|| "/usr/local".into());
-        Ok(Places::system(self.root.clone(), prefix))
+        Ok(Places::system(root, prefix))
     }
 
     fn install(&self, binary: Vec<u8>) -> Result<Outcome> {
@@ -128,7 +129,7 @@ impl Target {
     }
 
     fn next_after_install(&self) -> Vec<String> {
-        if !self.root.as_os_str().is_empty() {
+        if self.root.is_some() {
             return Vec::new();
         }
         let commands: &[&str] = match self.user {
@@ -151,10 +152,10 @@ impl Target {
     }
 
     fn next_after_uninstall(&self) -> Vec<String> {
-        let commands: &[&str] = match (self.user, self.root.as_os_str().is_empty()) {
-            (_, false) => &[],
-            (true, true) => &["systemctl --user disable --now gv3", "systemctl --user daemon-reload"],
-            (false, true) => &["sudo systemctl disable --now gv3", "sudo systemctl daemon-reload"],
+        let commands: &[&str] = match (self.user, self.root.is_some()) {
+            (_, true) => &[],
+            (true, false) => &["systemctl --user disable --now gv3", "systemctl --user daemon-reload"],
+            (false, false) => &["sudo systemctl disable --now gv3", "sudo systemctl daemon-reload"],
         };
         let sessions = "sessions are kept, in /var/lib/gv3 or where a user's service keeps its state";
         commands.iter().chain(&[sessions]).map(|line| (*line).to_owned()).collect()

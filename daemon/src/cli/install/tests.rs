@@ -52,6 +52,9 @@ fn a_dry_run_shows_everything_and_does_nothing() {
         );
     }
     assert!(files(root.path()).is_empty());
+    // For the machine itself, with what to do next.
+    let own = Line::try_parse_from(["gv3", "--dry-run"]).unwrap().into.install(Vec::new()).unwrap().report;
+    assert!(own.contains(" /etc/systemd/system/gv3.service") && own.contains("systemctl enable --now gv3"), "{own}");
 }
 
 #[test]
@@ -111,7 +114,7 @@ fn one_users_installation_stays_in_the_home_and_leaves_the_machine_alone() {
     assert!(paths.iter().all(|path| path.starts_with(&home)), "{paths:?}");
     assert!(paths.contains(&home.join("conf/systemd/user/gv3.service")), "{paths:?}");
     assert!(paths.contains(&home.join(".local/bin/gv3")), "{paths:?}");
-    assert!(!paths.iter().any(|path| path.to_string_lossy().contains("udev")), "{paths:?}");
+    assert!(!paths.iter().any(|path| path.to_string_lossy().contains("rules.d")), "{paths:?}");
 }
 
 #[test]

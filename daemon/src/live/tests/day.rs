@@ -130,7 +130,9 @@ fn work_for(hours: u64) {
     day.live.clone().shut_down().unwrap();
 }
 
+/// `cargo test -p gv3 --lib live::tests::day -- --ignored`: 720 scans.
 #[test]
+#[ignore = "slow"]
 fn hours_of_starting_stopping_and_rotating_lose_nothing() {
     work_for(2);
 }
