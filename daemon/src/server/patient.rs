@@ -77,7 +77,7 @@ mod tests {
     #[tokio::test]
     async fn a_client_that_takes_nothing_is_given_up_and_one_that_takes_slowly_is_not() {
         let (near, mut far) = duplex(16);
-        let mut stream = Patient::new(near, Duration::from_millis(200));
+        let mut stream = Patient::new(near, Duration::from_secs(4));
         let reader = tokio::spawn(async move {
             let mut taken = [0; 8];
             for _ in 0..10 {

@@ -112,7 +112,7 @@ async fn malformed_websocket_traffic_ends_that_socket_alone() {
     );
     // Reserved bits; an unmasked text; a length of 2^63; a continuation of nothing; a control frame in pieces.
     let frames: [&[u8]; 5] = [
-        &[0xff, 0xff, 0xff, 0xff],
+        &[0xff; 20],
         &[0x81, 0x02, b'h', b'i'],
         &[0x82, 0xff, 0x80, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4],
         &[0x80, 0x80, 1, 2, 3, 4],
