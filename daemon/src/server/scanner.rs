@@ -4,7 +4,8 @@ use super::input::Input;
 use super::problem::Problem;
 use super::shared::{Shared, State};
 use crate::device::plugged::Plugged;
-use crate::live::{LiveError, LiveStatus, RecordingRequest};
+use crate::doctor::{self, Report};
+use crate::live::{LiveError, LiveState, LiveStatus, RecordingRequest};
 use axum::Json;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
@@ -125,7 +126,14 @@ pub async fn devices(axum::extract::State(shared): State) -> Result<Json<Plugged
     Ok(Json(shared.blocking(|_| Ok(Plugged::find())).await?))
 }
 
-/// POST /doctor.
-pub async fn doctor() -> Problem {
-    Problem::new(StatusCode::NOT_IMPLEMENTED, "this build has no doctor")
+/// POST /doctor: needs the devices for itself.
+pub async fn doctor(axum::extract::State(shared): State) -> Result<Json<Report>, Problem> {
+    let report = shared.blocking(|s| {
+        let state = s.live.status().state;
+        if !matches!(state, LiveState::Idle | LiveState::Failed) {
+            return Err(Problem::new(StatusCode::CONFLICT, "stop the scanner first: the checks need its devices"));
+        }
+        Ok(doctor::run_in(&s.live.config().rig, s.directory.path(), |_| ()))
+    });
+    Ok(Json(report.await?))
 }
