@@ -98,8 +98,10 @@ impl Daemon {
         let head = format!("{method} /api/v1{path} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n", self.address);
         let length = format!("Content-Type: application/json\r\nContent-Length: {}\r\n\r\n", body.len());
         stream.write_all((head + &length + body).as_bytes()).unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        // A picture's bytes are not looked at.
+        let answer = String::from_utf8_lossy(&answer);
         let status = answer.split(' ').nth(1).unwrap().parse().unwrap();
         let body = answer.split_once("\r\n\r\n").map_or("", |(_, body)| body);
         (status, serde_json::from_str(body).unwrap_or_default())

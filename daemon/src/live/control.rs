@@ -203,8 +203,8 @@ impl Control {
         }
         let Some(active) = &run.recording else { return };
         if active.abort.load(Ordering::Relaxed) {
-            // Shown in the status and logged by the stage that failed.
-            let _ = self.end_recording(inner, None);
+            let ended = self.end_recording(inner, None);
+            tracing::error!(error = ended.err().map(|e| e.to_string()), "the recording ends here");
         } else if let Err(error) = self.check_space(inner) {
             tracing::error!(%error, "the recording ends here");
             let kind = EventKind::Fault { source: "disk".into(), message: error.to_string() };

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::Receiver;
-use tracing::{debug_span, info, warn};
+use tracing::{debug, debug_span, info};
 
 /// Events kept until the next group; of those beyond only the count in the status is left.
 const MOST_EVENTS: usize = 4096;
@@ -149,7 +149,7 @@ impl Run {
     }
 
     fn fail(&mut self, error: RecordError) {
-        warn!(%error, "nothing more is written");
+        debug!(%error, "nothing more is written");
         self.failure = Some(error);
         self.abort.store(true, Ordering::Relaxed);
     }
