@@ -12,8 +12,20 @@ use glam::{DVec2, Vec3};
 const NONE: u32 = u32::MAX;
 
 /// The surface of a scan: a vertex a pixel of its mask, neighbours joined where depth does not jump; with texture
-/// coordinates for a picture of the scan's own size.
+/// coordinates for a picture of the scan's own size. Pixels that no neighbour joins are no surface.
 pub fn as_scan(model: &Model, scan: &SeenScan) -> TriMesh {
+    joined(pixels(model, scan))
+}
+
+/// The mesh without vertices that no triangle has.
+fn joined(mesh: TriMesh) -> TriMesh {
+    let mut is_joined = vec![false; mesh.vertex_count()];
+    mesh.triangles.iter().flatten().for_each(|v| is_joined[*v as usize] = true);
+    if is_joined.contains(&false) { mesh.submesh(|_| true).0 } else { mesh }
+}
+
+/// All pixels of the mask in rows, those on their own too.
+fn pixels(model: &Model, scan: &SeenScan) -> TriMesh {
     let back = model.view.moved(scan.placed.window.offset).back_projection();
     let (width, height) = (scan.placed.window.width, scan.placed.window.height);
     let count = scan.mask.iter().filter(|on| **on).count();
@@ -45,7 +57,7 @@ pub fn as_scan(model: &Model, scan: &SeenScan) -> TriMesh {
 
 /// As [`as_scan`], its surface moved by what each vertex of the model moves, mm.
 pub fn as_scan_at(model: &Model, scan: &SeenScan, by_mm: &[Vec3]) -> TriMesh {
-    let mut mesh = as_scan(model, scan);
+    let mut mesh = pixels(model, scan);
     let nearest = nearest_known(&scan.drawn.picture.depth, |d| *d != NOTHING, scan.placed.window.width);
     let pixels = (0..scan.mask.len()).filter(|i| scan.mask[*i]);
     for (p, i) in mesh.positions_mm.iter_mut().zip(pixels) {
@@ -54,7 +66,7 @@ pub fn as_scan_at(model: &Model, scan: &SeenScan, by_mm: &[Vec3]) -> TriMesh {
             *p += displacement(model, scan, j, by_mm);
         }
     }
-    mesh
+    joined(mesh)
 }
 
 /// Mean of the corners of the triangle that a pixel shows, by its place in it.
