@@ -27,6 +27,10 @@ use std::sync::Arc;
 const BASE_VERTICES: usize = 20_000;
 /// Step of patches in tolerances.
 const PATCH_STEP_SHARE: f64 = 4.0;
+/// Step of a base's displacements in tolerances.
+const DISPLACEMENT_STEP_SHARE: f64 = 1.5;
+/// What a base may be flattened by, in tolerances.
+const FLAT_SHARE: f64 = 0.4;
 /// Squared tolerances that a bit of the lattice may cost.
 const LATTICE_WORTH: f64 = 0.6;
 /// Squared tolerances, summed over pixels, that a bit of a keyframe's patches may cost: they last.
@@ -87,11 +91,15 @@ impl ShotConfig {
         }
     }
 
-    /// Sets the tolerance and the step of patches that suits it.
+    /// Sets the tolerance and the steps that suit it.
     pub fn set_tolerance_mm(&mut self, tolerance_mm: f64) {
         self.tolerance_mm = tolerance_mm;
-        let units = f64::from(super::UNITS_PER_MM);
-        self.steps.patch = (PATCH_STEP_SHARE * tolerance_mm * units).round().clamp(8.0, 4096.0) as i32;
+        let step = |share: f64, least: f64| {
+            (share * tolerance_mm * f64::from(super::UNITS_PER_MM)).round().clamp(least, 4096.0) as i32
+        };
+        self.steps.patch = step(PATCH_STEP_SHARE, 8.0);
+        self.steps.displacement = step(DISPLACEMENT_STEP_SHARE, 4.0);
+        self.steps.flat = step(FLAT_SHARE, 2.0);
     }
 
     fn tradeoff(&self) -> Tradeoff {

@@ -11,6 +11,8 @@ use crate::texture::coded::{BLOCK, NOWHERE, Offsets};
 
 /// Farthest depth, units.
 const MAX_DEPTH: i32 = 1 << 25;
+/// Residuals of neighbours that differ by more than this, units, are of two surfaces.
+const EDGE_STEP: i32 = 512;
 
 /// A decoded scan.
 #[derive(Debug, Clone)]
@@ -150,13 +152,13 @@ impl Found {
                 (0..).zip(row).for_each(|(i, r)| *r = i32::from(is_on(x0 + i, y0 + j)));
             }
         }
-        let residuals = |y: usize| {
-            let at = (y0 as i64 + (y + below) as i64) as usize * width + (i64::from(x0) + right as i64) as usize;
-            &reference.residual[at..at + BLOCK]
-        };
+        let at = |x: usize, y: usize| (i64::from(y0) + y as i64) as usize * width + (i64::from(x0) + x as i64) as usize;
         if is_inside && around.iter().sum::<i32>() == around.len() as i32 {
             for (y, sums) in self.sum.chunks_exact_mut(BLOCK).enumerate() {
-                sums.iter_mut().zip(residuals(y)).for_each(|(sum, r)| *sum += i64::from(*r));
+                let [upper, lower] = [y, y + 1].map(|y| &reference.residual[at(0, y)..][..BLOCK + 1]);
+                for (x, sum) in sums.iter_mut().enumerate() {
+                    *sum += i64::from(between([upper[x], upper[x + 1], lower[x], lower[x + 1]], f));
+                }
             }
             self.share.iter_mut().for_each(|share| *share += 1 << 16);
             self.count.iter_mut().for_each(|count| *count += 1);
@@ -164,19 +166,33 @@ impl Found {
         }
         for y in 0..BLOCK {
             let rows = [y, y + 1].map(|y| &around[y * (BLOCK + 1)..(y + 1) * (BLOCK + 1)]);
-            let nearest = y0 as i64 + (y + below) as i64;
             for x in 0..BLOCK {
                 let [upper, lower] = rows.map(|r| r[x] * (256 - f[0]) + r[x + 1] * f[0]);
                 let k = y * BLOCK + x;
                 self.share[k] += upper * (256 - f[1]) + lower * f[1];
                 if rows[below][x + right] == 1 {
-                    let at = nearest as usize * width + (i64::from(x0) + (x + right) as i64) as usize;
-                    self.sum[k] += i64::from(reference.residual[at]);
+                    let residual = |x: usize, y: usize| reference.residual[at(x, y)];
+                    let is_whole = rows.iter().all(|r| r[x] + r[x + 1] == 2);
+                    let four = || [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[i, j]| residual(x + i, y + j));
+                    self.sum[k] +=
+                        i64::from(if is_whole { between(four(), f) } else { residual(x + right, y + below) });
                     self.count[k] += 1;
                 }
             }
         }
     }
+}
+
+/// Residual at the fraction `f` (1/256 px) between four pixels: bilinear, or that of the nearest one where they lie so far
+/// apart that their mean is on neither side of a step.
+fn between(four: [i32; 4], f: [i32; 2]) -> i32 {
+    let [a, b, c, d] = four;
+    let (least, most) = (a.min(b).min(c).min(d), a.max(b).max(c).max(d));
+    if most.saturating_sub(least) > EDGE_STEP {
+        return four[((f[1] >> 7) * 2 + (f[0] >> 7)) as usize];
+    }
+    let along = |a: i32, b: i32| (a - least) * (256 - f[0]) + (b - least) * f[0];
+    least + ((along(a, b) * (256 - f[1]) + along(c, d) * f[1] + (1 << 15)) >> 16)
 }
 
 #[cfg(test)]
@@ -246,6 +262,19 @@ mod tests {
         assert_eq!(residual([[100, 0], [130, 0]]), (-30 - 20) / 2);
         assert_eq!(residual([[700, 300], [700, 300]]), 40);
         assert_eq!(residual([NOWHERE, [0, 5000]]), 0);
+    }
+
+    #[test]
+    fn between_pixels_residuals_are_bilinear_unless_a_step_lies_between() {
+        let plane = |x: i32, y: i32| 100 + 32 * x - 64 * y;
+        let four = [plane(0, 0), plane(1, 0), plane(0, 1), plane(1, 1)];
+        for f in [[0, 0], [255, 0], [8, 128], [200, 72]] {
+            assert_eq!(between(four, f), (100 * 256 + 32 * f[0] - 64 * f[1] + 128) >> 8);
+        }
+        assert_eq!(between([0, EDGE_STEP, 0, 0], [128, 0]), EDGE_STEP / 2);
+        let step = [7, EDGE_STEP + 8, 9, -3];
+        assert_eq!([[127, 127], [128, 127], [127, 128], [128, 128]].map(|f| between(step, f)), step);
+        assert_eq!(between([i32::MIN, i32::MAX, 0, 0], [0, 0]), i32::MIN);
     }
 
     #[test]
