@@ -3,10 +3,13 @@
 use crate::mesh::repair::RepairReport;
 use crate::seed::{self, GivenCounts, GivenLandmark};
 use crate::shot::encoder as shots;
+use crate::shot::pictures::GroupPictures;
+#[cfg(doc)]
+use crate::shot::pictures::PictureEncoder;
 use crate::{CodecError, Result, Scan, Stamp, StreamHeader};
 
 /// A group ready to be stored.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub struct EncodedGroup {
     /// Stamp of the group's first scan.
     pub first: Stamp,
@@ -18,6 +21,8 @@ pub struct EncodedGroup {
     pub geometry: Vec<u8>,
     /// Payload "texture".
     pub texture: Option<Vec<u8>>,
+    /// What a [`PictureEncoder`] is to make the texture of, after [`Encoder::defer_pictures`].
+    pub pictures: Option<Box<GroupPictures>>,
     /// What became of the landmarks given for the keyframe.
     pub landmarks: GivenCounts,
     /// What the parts of its geometry cost, in the default mode.
@@ -92,6 +97,14 @@ impl Encoder {
     pub fn set_corrects_between(&mut self, corrects_between: bool) {
         if let Self::Shots(encoder) = self {
             encoder.set_corrects_between(corrects_between);
+        }
+    }
+
+    /// Leaves the pictures of the groups to come to a [`PictureEncoder`], which may work in another thread; the seed mode codes
+    /// them itself nevertheless.
+    pub fn defer_pictures(&mut self) {
+        if let Self::Shots(encoder) = self {
+            encoder.defer_pictures();
         }
     }
 

@@ -144,7 +144,7 @@ impl Encoder {
         self.next_key_tick = (key.tick / interval + 1) * interval;
         self.key_tick = Some(key.tick);
         self.last = None;
-        Ok(EncodedGroup { first, key, scans: stamps.len(), geometry, texture, landmarks, cost: None })
+        Ok(EncodedGroup { first, key, scans: stamps.len(), geometry, texture, pictures: None, landmarks, cost: None })
     }
 }
 

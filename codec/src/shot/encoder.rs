@@ -9,11 +9,12 @@ use super::model::{Model, Window};
 use super::motion::Motion;
 use super::motion_code::Correction;
 use super::order::{Decoded, coding_order};
+use super::pictures::{GroupPictures, PictureEncoder, ShownBetween, ShownKey};
 use super::register::{RegisterOptions, Registered, register};
 use super::scan_code::{self, Context, Fidelity, ScanModels, Spent};
 use super::scan_image::ScanImage;
 use super::steps::Steps;
-use super::textures::{self, TextureChain, TextureSteps, Textured};
+use super::textures::TextureSteps;
 use crate::bits::range_coder::RangeEncoder;
 use crate::encoder::{EncodedGroup, Pushed};
 use crate::mesh::repair::{RepairOptions, RepairReport, to_disk};
@@ -146,7 +147,8 @@ pub struct Encoder {
     crop: Crop,
     camera: Option<ShotCamera>,
     chain: Option<Chain>,
-    texture: Option<TextureChain>,
+    /// None when the pictures of groups are left to the caller.
+    pictures: Option<PictureEncoder>,
     groups_since_base: u32,
     groups_since_shot: u64,
     pending: Vec<Pending>,
@@ -181,7 +183,7 @@ impl Encoder {
             crop: Crop::default(),
             camera: None,
             chain: None,
-            texture: None,
+            pictures: Some(PictureEncoder::default()),
             groups_since_base: 0,
             groups_since_shot: 0,
             pending: Vec::new(),
@@ -201,6 +203,11 @@ impl Encoder {
     /// Sets [`ShotConfig::corrects_between`] for the groups to come.
     pub fn set_corrects_between(&mut self, corrects_between: bool) {
         self.config.corrects_between = corrects_between;
+    }
+
+    /// Leaves the pictures of the groups to come to a [`PictureEncoder`] of the caller's.
+    pub fn defer_pictures(&mut self) {
+        self.pictures = None;
     }
 
     /// Takes the next scan.
@@ -385,26 +392,31 @@ impl Encoder {
     fn close_group(&mut self, scan: &Scan, stamp: Stamp, key: CodedKey) -> Result<EncodedGroup> {
         let pending = std::mem::take(&mut self.pending);
         let (between, spent, decoded) = self.code_between(&pending, stamp, &key)?;
-        let texture = self.code_textures(scan, stamp, &key, &pending, &decoded);
         let stamps: Vec<Stamp> = pending.iter().map(|p| p.stamp).chain([stamp]).collect();
         self.groups_since_shot = if key.start == Start::Begins { 0 } else { self.groups_since_shot + 1 };
         let head = (key.start, key.new_base.as_ref(), self.groups_since_shot);
         let geometry = group::write(&self.config.header(), &stamps, head, &key.bytes, &between)?;
         let base = key.new_base.as_ref().map_or(0, |_| geometry.len() - key.bytes.len() - between.len());
         let cost = GroupCost { base, key: key.spent, between: spent };
+        let pictures = self.pictures(scan, stamp, &key, pending, &decoded);
         self.groups_since_base = if key.start == Start::Continues { self.groups_since_base + 1 } else { 1 };
         self.chain = Some(key.chain);
         let interval = u64::from(self.config.keyframe_interval);
         self.next_key_tick = (stamp.tick / interval + 1) * interval;
-        Ok(EncodedGroup {
+        let mut group = EncodedGroup {
             first: stamps[0],
             key: stamp,
             scans: stamps.len(),
             geometry,
-            texture,
+            texture: None,
+            pictures: Some(Box::new(pictures)),
             landmarks: GivenCounts::default(),
             cost: Some(cost),
-        })
+        };
+        if let Some(encoder) = &mut self.pictures {
+            encoder.encode(&mut group);
+        }
+        Ok(group)
     }
 
     /// The scans before a keyframe, as [`group::Parts::decode_between`] reads them.
@@ -454,37 +466,29 @@ impl Encoder {
         Ok((group::finish(out), total, decoded))
     }
 
-    /// Pictures of a group: that of its keyframe from the one before, then what the scans between lack.
-    fn code_textures(
-        &mut self,
+    /// What the pictures of a group are coded from.
+    fn pictures(
+        &self,
         scan: &Scan,
         stamp: Stamp,
         key: &CodedKey,
-        pending: &[Pending],
+        pending: Vec<Pending>,
         decoded: &Decoded,
-    ) -> Option<Vec<u8>> {
+    ) -> GroupPictures {
         let coded = Arc::clone(&key.chain.keys.scans[&stamp.tick]);
-        let before = self.texture.take().zip(self.chain.as_ref());
-        let picture = picture_of(scan, &coded.placed.window)?;
-        let steps = self.config.texture;
-        let textured = before.as_ref().map(|(texture, chain)| Textured {
-            scan: &chain.keys.scans[&chain.key_tick],
-            chain: texture,
-            tick: chain.key_tick,
-        });
-        let continued = textured.filter(|_| key.start == Start::Continues);
-        let (bytes, texture) = textures::encode_key(&picture, &coded, &key.chain.model, continued, steps);
-        let end = decoded.scans.get(&stamp.tick);
-        let after = end.map(|scan| Textured { scan, chain: &texture, tick: stamp.tick });
-        let keys: Vec<Textured<'_>> = textured.into_iter().chain(after).collect();
-        let between = |p: &Pending| {
-            let (chain, picture) = (self.chain.as_ref()?, p.picture.as_ref().filter(|_| self.config.corrects_between)?);
-            let scan = &decoded.scans[&p.stamp.tick];
-            Some(textures::encode_between(picture, (p.stamp.tick, scan), &chain.model, &keys, steps))
+        let between = |p: Pending| {
+            let scan = Arc::clone(decoded.scans.get(&p.stamp.tick)?);
+            Some(ShownBetween { scan, tick: p.stamp.tick, picture: p.picture.filter(|_| self.config.corrects_between) })
         };
-        let between: Vec<Vec<u8>> = pending.iter().map(|p| between(p).unwrap_or_default()).collect();
-        self.texture = Some(texture);
-        Some(textures::write(&bytes, &between))
+        GroupPictures {
+            picture: picture_of(scan, &coded.placed.window),
+            key: ShownKey { model: Arc::clone(&key.chain.model), scan: coded, tick: stamp.tick },
+            before: self.chain.as_ref().map(Chain::key),
+            continues: key.start == Start::Continues,
+            end: decoded.scans.get(&stamp.tick).cloned(),
+            between: pending.into_iter().filter_map(between).collect(),
+            steps: self.config.texture,
+        }
     }
 }
 

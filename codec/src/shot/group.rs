@@ -5,6 +5,7 @@ use super::model::Model;
 use super::motion::Motion;
 use super::motion_code::Correction;
 use super::order::{Decoded, Placed, coding_order};
+use super::pictures::ShownKey;
 use super::scan_code::{self, Context, ScanModels};
 use super::seen_scan::SeenScan;
 use super::steps::Steps;
@@ -66,6 +67,15 @@ pub struct Chain {
 const KEYS: usize = 2;
 
 impl Chain {
+    /// The last keyframe.
+    pub fn key(&self) -> ShownKey {
+        ShownKey {
+            model: Arc::clone(&self.model),
+            scan: Arc::clone(&self.keys.scans[&self.key_tick]),
+            tick: self.key_tick,
+        }
+    }
+
     /// The chain after a keyframe.
     pub fn advance(mut self, tick: u64, scan: Arc<SeenScan>) -> Self {
         self.key_tick = tick;

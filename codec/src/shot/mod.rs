@@ -26,6 +26,7 @@ pub mod motion_code;
 pub mod order;
 pub mod outliers;
 pub mod patches;
+pub mod pictures;
 pub mod player;
 pub mod pose;
 pub mod raster;

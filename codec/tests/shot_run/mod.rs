@@ -7,7 +7,7 @@ use gv3_codec::shot::link::Link;
 use gv3_codec::shot::model::Model;
 use gv3_codec::shot::seen_scan::SeenScan;
 use gv3_codec::shot::textures::Pictures;
-use gv3_codec::{CodecError, EncodedGroup, Encoder, EncoderConfig, Stamp, StreamHeader};
+use gv3_codec::{CodecError, EncodedGroup, Encoder, EncoderConfig, Scan, Stamp, StreamHeader};
 use std::fmt::Write;
 use std::sync::LazyLock;
 
@@ -26,20 +26,29 @@ pub struct Run {
 
 /// The run that the vectors hold.
 pub static RUN: LazyLock<Run> = LazyLock::new(|| {
-    let mut config = ShotConfig::new(PERIOD_NANOS);
-    config.keyframe_interval = INTERVAL;
-    config.refresh_groups = 2;
-    config.max_error_mm = Some(1.0);
-    let mut encoder = Encoder::new(EncoderConfig::Shots(config)).unwrap();
+    let mut encoder = Encoder::new(config()).unwrap();
     let header = encoder.header();
     let mut groups = Vec::new();
-    for tick in 0..=LAST {
-        let surface = if tick == LAST { Surface::Bowl } else { Surface::Dome };
-        groups.extend(encoder.push(scan(tick, surface)).unwrap().group);
+    for scan in scans() {
+        groups.extend(encoder.push(scan).unwrap().group);
     }
     groups.extend(encoder.finish().unwrap());
     Run { header, groups }
 });
+
+/// How the run is coded.
+pub fn config() -> EncoderConfig {
+    let mut config = ShotConfig::new(PERIOD_NANOS);
+    config.keyframe_interval = INTERVAL;
+    config.refresh_groups = 2;
+    config.max_error_mm = Some(1.0);
+    EncoderConfig::Shots(config)
+}
+
+/// The scans of the run.
+pub fn scans() -> impl Iterator<Item = Scan> {
+    (0..=LAST).map(|tick| scan(tick, if tick == LAST { Surface::Bowl } else { Surface::Dome }))
+}
 
 /// Decodes a group after the chain before it; returns what it holds as text, and the chain after it.
 pub fn describe(header: &StreamHeader, bytes: &[u8], before: Option<&Chain>) -> Result<(String, Chain), CodecError> {
