@@ -45,15 +45,16 @@ impl ShotCamera {
         if self.fixed.is_some() {
             return self.fixed;
         }
-        let (picture, px) = (scan.texture.as_ref()?, texture_px(scan)?);
-        let stride = (px.len() / PROBES).max(1);
+        let (picture, uv) = (scan.texture.as_ref()?, scan.mesh.uv.as_ref()?);
+        let stride = (uv.len() / PROBES).max(1);
         let probes: Vec<[f64; 2]> = scan
             .mesh
             .positions_mm
             .iter()
-            .zip(&px)
+            .zip(uv)
             .step_by(stride)
-            .map(|(p, px)| {
+            .map(|(p, uv)| {
+                let px = picture.uv_to_px(*uv);
                 let units = p.to_array().map(|v| (f64::from(v) * f64::from(super::UNITS_PER_MM)).round() as i32);
                 let seen = self.view.project(units)?;
                 Some([f64::from(px[0]) * 256.0 - f64::from(seen.x), f64::from(px[1]) * 256.0 - f64::from(seen.y)])

@@ -14,6 +14,8 @@ const LEAST_EDGE_STEP: i32 = 3 * UNITS_PER_MM;
 /// Vertices within this of a pixel centre (1/256 px) count as that pixel.
 const CENTRE_TOLERANCE: i32 = 16;
 
+/// Triangles up to this wide and high are small, 1/256 px: their areas fit 31 bits.
+const SMALL: i32 = 32 << PX_BITS;
 /// Normals are taken over so many pixels either side.
 const REACH_PX: i32 = 2;
 
@@ -40,18 +42,7 @@ impl ScanImage {
     /// Draws a scan. A mesh whose vertices lie on pixel centres, as a scanner's do, is taken over pixel by pixel.
     pub fn new(scan: &Scan, view: &View, window: Window) -> Self {
         let view = view.moved(window.offset);
-        let depth = on_centres(scan, &view, window).unwrap_or_else(|| {
-            let to_units = |v: f32| (f64::from(v) * f64::from(UNITS_PER_MM)).round() as i32;
-            let seen: Vec<Option<Seen>> =
-                scan.mesh.positions_mm.iter().map(|p| view.project(p.to_array().map(to_units))).collect();
-            let mut picture = DepthPicture::new(window.width, window.height);
-            for (i, t) in scan.mesh.triangles.iter().enumerate() {
-                if let [Some(a), Some(b), Some(c)] = t.map(|v| seen[v as usize]) {
-                    picture.draw(i as u32, [a, b, c]);
-                }
-            }
-            picture.depth
-        });
+        let depth = on_centres(scan, &view, window).unwrap_or_else(|| drawn(scan, &view, window));
         Self { window, depth, back: view.back_projection() }
     }
 
@@ -189,6 +180,61 @@ fn bilinear(d: [i32; 4], weights: [f64; 4], step_limit: i32) -> Option<f64> {
     is_surface.then(|| d.iter().zip(weights).map(|(d, w)| f64::from(*d) * w).sum())
 }
 
+/// Depths of a scan whose vertices lie anywhere, as behind a lens that is not the view's.
+fn drawn(scan: &Scan, view: &View, window: Window) -> Vec<i32> {
+    // Halves away from zero, without the library's rounding.
+    let to_units = |v: f32| {
+        let units = f64::from(v) * f64::from(UNITS_PER_MM);
+        (units + 0.5_f64.copysign(units)) as i32
+    };
+    let seen: Vec<Seen> = scan
+        .mesh
+        .positions_mm
+        .iter()
+        .map(|p| view.project(p.to_array().map(to_units)).unwrap_or(Seen::NOWHERE))
+        .collect();
+    let mut picture = DepthPicture::new(window.width, window.height);
+    for (i, &[a, b, c]) in scan.mesh.triangles.iter().enumerate() {
+        let (a, b, c) = (&seen[a as usize], &seen[b as usize], &seen[c as usize]);
+        if !draw_small(&mut picture.depth, [window.width, window.height], a, b, c) {
+            picture.draw(i as u32, [*a, *b, *c]);
+        }
+    }
+    picture.depth
+}
+
+/// Draws the depth of a front-facing triangle as [`DepthPicture::draw`] does, edges included and depth in floating point, in a
+/// fraction of its time for a triangle as small as a pixel; false for one that is not small.
+fn draw_small(depth: &mut [i32], [width, height]: [usize; 2], a: &Seen, b: &Seen, c: &Seen) -> bool {
+    let (x0, x1) = (a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x));
+    let (y0, y1) = (a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y));
+    if x1 - x0 > SMALL || y1 - y0 > SMALL {
+        return false;
+    }
+    let up = |v: i32| ((v + 255) >> PX_BITS).max(0);
+    let (columns, rows) =
+        (up(x0)..((x1 >> PX_BITS) + 1).min(width as i32), up(y0)..((y1 >> PX_BITS) + 1).min(height as i32));
+    let cross = |u: [i32; 2], v: [i32; 2]| u[1] * v[0] - u[0] * v[1];
+    let (ab, ac) = ([b.x - a.x, b.y - a.y], [c.x - a.x, c.y - a.y]);
+    let area = cross(ab, ac);
+    if area <= 0 {
+        return true;
+    }
+    for y in rows {
+        for x in columns.clone() {
+            let p = [(x << PX_BITS) - a.x, (y << PX_BITS) - a.y];
+            let (of_b, of_c) = (cross(p, ac), cross(ab, p));
+            if (of_b | of_c | (area - of_b - of_c)) >= 0 {
+                let [to_b, to_c] = [b.depth - a.depth, c.depth - a.depth].map(|d| d as f32);
+                let more = (of_b as f32 * to_b + of_c as f32 * to_c) / area as f32;
+                let nearest = &mut depth[y as usize * width + x as usize];
+                *nearest = (*nearest).min(a.depth.saturating_add((more + 0.5_f32.copysign(more)) as i32));
+            }
+        }
+    }
+    true
+}
+
 /// Depths of a scan whose vertices all lie on centres of pixels; `None` for any other.
 fn on_centres(scan: &Scan, view: &View, window: Window) -> Option<Vec<i32>> {
     let units = f64::from(UNITS_PER_MM);
@@ -213,4 +259,49 @@ fn on_centres(scan: &Scan, view: &View, window: Window) -> Option<Vec<i32>> {
         depth[at] = depth[at].min((axis.depth_of(p) + 0.5).floor() as i32);
     }
     Some(depth)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn small_triangles_are_drawn_as_all_are(
+            corners in prop::array::uniform3((-600_i32..6000, -600_i32..6000, 100_000_i32..110_000)),
+        ) {
+            let corners = corners.map(|(x, y, depth)| Seen { x, y, depth });
+            let mut picture = DepthPicture::new(20, 20);
+            picture.draw(0, corners);
+            let mut depth = vec![NOTHING; 400];
+            prop_assert!(draw_small(&mut depth, [20, 20], &corners[0], &corners[1], &corners[2]));
+            // Slopes of slivers are large; a plane is that of its corners within a unit all the same.
+            let cross = |u: [i64; 2], v: [i64; 2]| u[1] * v[0] - u[0] * v[1];
+            let from = |to: Seen| [i64::from(to.x - corners[0].x), i64::from(to.y - corners[0].y)];
+            let (ab, ac) = (from(corners[1]), from(corners[2]));
+            for (i, (fine, exact)) in depth.iter().zip(&picture.depth).enumerate() {
+                let p = from(Seen { x: ((i % 20) << PX_BITS) as i32, y: ((i / 20) << PX_BITS) as i32, depth: 0 });
+                let is_on_edge = cross(p, ac) == 0 || cross(ab, p) == 0 || cross(ab, ac) == cross(p, ac) + cross(ab, p);
+                prop_assert!((*fine == NOTHING) == (*exact == NOTHING) || is_on_edge);
+                if *fine != NOTHING && *exact != NOTHING && cross(ab, ac) > 1 << 14 {
+                    prop_assert!((fine - exact).abs() <= 2, "{fine} for {exact}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn large_triangles_are_left_to_others() {
+        let seen = |x: i32, y: i32| Seen { x, y, depth: 9 };
+        let mut depth = vec![NOTHING; 4];
+        let mut draw = |b: Seen, c: Seen| {
+            let is_small = draw_small(&mut depth, [2, 2], &seen(0, 0), &b, &c);
+            (is_small, depth.clone())
+        };
+        assert_eq!(draw(seen(0, SMALL + 1), seen(300, 0)), (false, vec![NOTHING; 4]));
+        assert_eq!(draw(seen(300, 0), seen(0, SMALL)), (true, vec![NOTHING; 4]), "turned away");
+        draw(seen(0, SMALL), seen(256, 0));
+        assert_eq!(depth, [9, 9, 9, NOTHING]);
+    }
 }

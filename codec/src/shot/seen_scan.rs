@@ -152,12 +152,20 @@ impl Found {
                 (0..).zip(row).for_each(|(i, r)| *r = i32::from(is_on(x0 + i, y0 + j)));
             }
         }
+        let on: i32 = around.iter().sum();
+        if on == 0 {
+            return;
+        }
         let at = |x: usize, y: usize| (i64::from(y0) + y as i64) as usize * width + (i64::from(x0) + x as i64) as usize;
-        if is_inside && around.iter().sum::<i32>() == around.len() as i32 {
-            for (y, sums) in self.sum.chunks_exact_mut(BLOCK).enumerate() {
-                let [upper, lower] = [y, y + 1].map(|y| &reference.residual[at(0, y)..][..BLOCK + 1]);
-                for (x, sum) in sums.iter_mut().enumerate() {
-                    *sum += i64::from(between([upper[x], upper[x + 1], lower[x], lower[x + 1]], f));
+        if is_inside && on == around.len() as i32 {
+            let row = |y: usize| &reference.residual[at(0, y)..][..BLOCK + 1];
+            // Most of a surface is as it was expected.
+            if (0..=BLOCK).any(|y| row(y).iter().fold(0, |any, r| any | r) != 0) {
+                for (y, sums) in self.sum.chunks_exact_mut(BLOCK).enumerate() {
+                    let [upper, lower] = [row(y), row(y + 1)];
+                    for (x, sum) in sums.iter_mut().enumerate() {
+                        *sum += i64::from(between([upper[x], upper[x + 1], lower[x], lower[x + 1]], f));
+                    }
                 }
             }
             self.share.iter_mut().for_each(|share| *share += 1 << 16);

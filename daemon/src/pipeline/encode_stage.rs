@@ -1,10 +1,10 @@
-//! Scans to groups, in a thread of its own: one encoder a file.
+//! Scans to groups, in a thread of its own: one encoder a file. Pictures are left to the next stage.
 
 use super::degrade::Degradation;
 use super::flow::{End, Item, Outlet};
 use super::monitor::{Monitor, Stage, thread_cpu};
 use super::record::RecordError;
-use super::recording::{Encoded, Progress, Recording, ScanObserver, SegmentLimits, payload_bytes};
+use super::recording::{Encoded, Progress, Recording, ScanObserver, SegmentLimits};
 use gv3_codec::{CodecError, EncodedGroup, Encoder, EncoderConfig, Scan};
 use gv3_protocol::session::{Event, EventKind};
 use std::sync::Arc;
@@ -35,6 +35,8 @@ struct Run {
     before: Encoded,
     /// Of this file.
     first_tick: Option<u64>,
+    /// Of the files before, but for what was on its way when this one began.
+    bytes_before: u64,
     /// Of the last scan's last picture.
     arrived: Instant,
 }
@@ -61,7 +63,7 @@ impl EncodeStage {
     }
 
     fn begin(&mut self, mut recording: Box<Recording>) -> Result<(), RecordError> {
-        let made = Encoder::new(recording.encoder.clone());
+        let made = encoder(&recording.encoder);
         let mut run = Run {
             config: recording.encoder.clone(),
             encoder: None,
@@ -73,6 +75,7 @@ impl EncodeStage {
             encoded: Encoded::default(),
             before: Encoded::default(),
             first_tick: None,
+            bytes_before: 0,
             arrived: Instant::now(),
         };
         match made {
@@ -162,20 +165,30 @@ impl Run {
     fn is_full(&self, key_tick: u64) -> bool {
         let periods = self.first_tick.map_or(0, |first| key_tick - first + 1);
         self.limits.periods.is_some_and(|most| periods >= most)
-            || self.limits.bytes.is_some_and(|most| self.encoded.bytes >= most)
+            || self
+                .limits
+                .bytes
+                .is_some_and(|most| self.progress.coded_bytes.load(Ordering::Relaxed) - self.bytes_before >= most)
     }
+}
+
+/// An encoder that leaves pictures to the next stage.
+fn encoder(config: &EncoderConfig) -> Result<Encoder, CodecError> {
+    let mut encoder = Encoder::new(config.clone())?;
+    encoder.defer_pictures();
+    Ok(encoder)
 }
 
 /// After a keyframe: the next scan begins a file.
 fn rotate(run: &mut Run, out: &mut Outlet<EncodedGroup>) -> Result<(), RecordError> {
-    match Encoder::new(run.config.clone()) {
+    match encoder(&run.config) {
         // The old one holds no scan.
         Ok(encoder) => run.encoder = Some(encoder),
         Err(error) => run.fail(error.into()),
     }
     let encoded = std::mem::take(&mut run.encoded);
     run.before += encoded;
-    run.first_tick = None;
+    (run.first_tick, run.bytes_before) = (None, run.progress.coded_bytes.load(Ordering::Relaxed));
     out.pass(Item::Segment(run.config.header(), encoded))
 }
 
@@ -183,6 +196,5 @@ fn forward(group: Option<EncodedGroup>, run: &mut Run, out: &mut Outlet<EncodedG
     let Some(group) = group else { return Ok(()) };
     run.encoded.scans += group.scans as u64;
     run.encoded.keyframes += 1;
-    run.encoded.bytes += payload_bytes(&group);
     out.pass(Item::Work(group, run.arrived))
 }

@@ -8,6 +8,7 @@ mod flow;
 pub mod frame_set;
 mod latency;
 pub mod monitor;
+mod picture_stage;
 pub mod raw;
 pub mod reconstruct;
 mod reconstruct_stage;

@@ -147,6 +147,8 @@ pub enum Stage {
     Reconstruct,
     /// Scans to groups.
     Encode,
+    /// Pictures of groups.
+    Pictures,
     /// Groups to disk.
     Write,
 }
@@ -166,8 +168,9 @@ pub struct LiveMetrics {
     pub picture_to_mesh: LatencySummary,
     /// From the arrival of a group's last picture until the group is durable.
     pub group_on_disk: LatencySummary,
-    /// Processor time of the stages' threads, seconds: capture (with the simulator's rendering), reconstruct, encode, write.
-    pub cpu_seconds: [f64; 4],
+    /// Processor time of the stages' threads, seconds: capture (with the simulator's rendering), reconstruct, encode, pictures,
+    /// write.
+    pub cpu_seconds: [f64; 5],
 }
 
 /// Shared between the stages and those who look on.
@@ -180,7 +183,7 @@ pub struct Monitor {
     drops: Mutex<BTreeMap<String, u64>>,
     picture_to_mesh: Mutex<Latencies>,
     group_on_disk: Mutex<Latencies>,
-    cpu_nanos: [AtomicU64; 4],
+    cpu_nanos: [AtomicU64; 5],
     exposure: Mutex<ExposureStatus>,
     degradation: AtomicU8,
     /// A scan could not be the keyframe that is due.

@@ -61,6 +61,8 @@ pub struct Progress {
     pub scans: AtomicU64,
     /// Keyframes on disk.
     pub keyframes: AtomicU64,
+    /// Bytes of groups coded, on disk or on their way there.
+    pub coded_bytes: AtomicU64,
     /// Bytes of groups on disk.
     pub bytes: AtomicU64,
     /// Files begun.
@@ -101,7 +103,6 @@ pub(super) struct Encoded {
     pub scans: u64,
     pub keyframes: u64,
     pub unusable: u64,
-    pub bytes: u64,
     pub time: Duration,
 }
 
@@ -110,7 +111,6 @@ impl AddAssign for Encoded {
         self.scans += other.scans;
         self.keyframes += other.keyframes;
         self.unusable += other.unusable;
-        self.bytes += other.bytes;
         self.time += other.time;
     }
 }

@@ -1,4 +1,4 @@
-//! The pipeline: capture, reconstruct, encode and write, each in a named thread, joined by bounded queues. The scanner runs with
+//! The pipeline: capture, reconstruct, encode, pictures and write, each in a named thread, joined by bounded queues. The scanner runs with
 //! or without a recording; a recording begins and ends in the stream of what travels down the queues, so that it has exactly
 //! the scans between the two.
 
@@ -6,6 +6,7 @@ use super::capture::capture;
 use super::encode_stage::EncodeStage;
 use super::flow::{Captured, End, Ended, Item, Outlet};
 use super::monitor::Monitor;
+use super::picture_stage::PictureStage;
 use super::reconstruct_stage::{QUEUE_ENCODE, ReconstructStage};
 use super::record::RecordError;
 use super::recording::{Encoded, Rebuilt, Recording};
@@ -26,6 +27,8 @@ use tracing::info;
 const SETS: usize = 8;
 /// Scans that wait for the encoder while it codes a keyframe with all that came before it: a second, some 5 MB each.
 const SCANS: usize = 32;
+/// Groups that wait for their pictures to be coded, some 30 MB each: the encoder waits then, and scans before it.
+const CODED: usize = 1;
 /// Groups that wait for the disk: ten seconds.
 const GROUPS: usize = 32;
 /// Cause of drop: the queue before reconstruction is full.
@@ -50,7 +53,7 @@ pub struct QueueDepths {
     pub sets: usize,
     /// Scans.
     pub scans: usize,
-    /// Groups.
+    /// Groups, those that wait for their pictures to be coded among them.
     pub groups: usize,
 }
 
@@ -59,6 +62,7 @@ pub struct QueueDepths {
 pub struct QueueGauge {
     sets: WeakSender<Item<FrameSet>>,
     scans: WeakSender<Item<Scan>>,
+    coded: WeakSender<Item<EncodedGroup>>,
     groups: WeakSender<Item<EncodedGroup>>,
 }
 
@@ -68,7 +72,8 @@ impl QueueGauge {
         fn depth<T>(queue: &WeakSender<T>) -> usize {
             queue.upgrade().map_or(0, |queue| queue.max_capacity() - queue.capacity())
         }
-        QueueDepths { sets: depth(&self.sets), scans: depth(&self.scans), groups: depth(&self.groups) }
+        let groups = depth(&self.coded) + depth(&self.groups);
+        QueueDepths { sets: depth(&self.sets), scans: depth(&self.scans), groups }
     }
 }
 
@@ -104,21 +109,30 @@ impl Pipeline {
         let PipelineSettings { scan_periods, is_live, stop, monitor } = settings;
         let pixels = u64::from(rig.calibration.camera.width_px) * u64::from(rig.calibration.camera.height_px);
         let set_bytes = pixels * rig.sequence.patterns.len() as u64;
-        let ((input, sets), (scan_out, scans), (group_out, groups)) = (channel(SETS), channel(SCANS), channel(GROUPS));
+        let ((input, sets), (scan_out, scans)) = (channel(SETS), channel(SCANS));
+        let ((coded_out, coded), (group_out, groups)) = (channel(CODED), channel(GROUPS));
         if let Some(recording) = first {
             input.try_send(Item::Begin(Box::new(recording))).map_err(|_| RecordError::Stage("record"))?;
         }
-        let gauge = QueueGauge { sets: input.downgrade(), scans: scan_out.downgrade(), groups: group_out.downgrade() };
+        let gauge = QueueGauge {
+            sets: input.downgrade(),
+            scans: scan_out.downgrade(),
+            coded: coded_out.downgrade(),
+            groups: group_out.downgrade(),
+        };
         let drops_as = |cause| is_live.then_some(cause);
         let set_outlet = Outlet::new(input.clone(), drops_as(QUEUE_RECONSTRUCT), Arc::clone(&monitor));
         let scan_outlet = Outlet::new(scan_out, drops_as(QUEUE_ENCODE), Arc::clone(&monitor));
         let group_outlet = Outlet::new(group_out, None, Arc::clone(&monitor));
         let reconstruct = ReconstructStage::new(reconstructor, scan_outlet, Arc::clone(&monitor), is_live, SCANS);
-        let encode = EncodeStage::new(group_outlet, Arc::clone(&monitor));
+        let coded_outlet = Outlet::new(coded_out, None, Arc::clone(&monitor));
+        let encode = EncodeStage::new(coded_outlet, Arc::clone(&monitor));
+        let pictures = PictureStage::new(group_outlet, Arc::clone(&monitor));
         let write = WriteStage::new(Arc::clone(&monitor), set_bytes);
         let stages = vec![
             thread("reconstruct", move || reconstruct.run(sets))?,
             thread("encode", move || encode.run(scans))?,
+            thread("pictures", move || pictures.run(coded))?,
             thread("write", move || write.run(groups))?,
         ];
         let (asked, seen) = (Arc::clone(&stop), Arc::clone(&monitor));
@@ -189,7 +203,7 @@ impl Pipeline {
         self.stop.0.store(true, Ordering::Relaxed);
         let captured = if self.capture.is_some() { self.wait().map(drop) } else { Ok(()) };
         drop(self.input);
-        let names = ["reconstruct", "encode", "write"];
+        let names = ["reconstruct", "encode", "pictures", "write"];
         let joined = self.stages.into_iter().zip(names);
         let ended: Vec<_> = joined.map(|(s, name)| s.join().unwrap_or(Err(RecordError::Stage(name)))).collect();
         ended.into_iter().rev().find(Result::is_err).unwrap_or(captured)

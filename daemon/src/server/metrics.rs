@@ -85,7 +85,7 @@ fn engine_metrics(live: &Live) -> String {
     summary(t, "gv3_picture_to_mesh_seconds", "From a scan's last picture to its mesh.", &counts.picture_to_mesh);
     summary(t, "gv3_group_on_disk_seconds", "From a group's last picture until it is durable.", &counts.group_on_disk);
     let mut cpu = family(t, "counter", "gv3_stage_cpu_seconds_total", "Processor time of the stages.");
-    for (stage, seconds) in ["capture", "reconstruct", "encode", "write"].iter().zip(counts.cpu_seconds) {
+    for (stage, seconds) in ["capture", "reconstruct", "encode", "pictures", "write"].iter().zip(counts.cpu_seconds) {
         cpu = cpu.labelled("stage", stage, seconds);
     }
     let queues = [("sets", status.queues.sets), ("scans", status.queues.scans), ("groups", status.queues.groups)];

@@ -21,8 +21,8 @@ pub struct LiveReport {
     pub degradation: BTreeMap<&'static str, f64>,
     /// Processor time of the whole process, source included, over the time measured, in cores.
     pub cpu_cores: f64,
-    /// The same by stage: capture with the source, reconstruct, encode, write.
-    pub stage_cores: [f64; 4],
+    /// The same by stage: capture with the source, reconstruct, encode, pictures, write.
+    pub stage_cores: [f64; 5],
     pub memory_bytes: Memory,
     pub picture_to_mesh: LatencySummary,
     pub group_on_disk: LatencySummary,
@@ -140,14 +140,14 @@ impl LiveReport {
         let drops: Vec<String> = self.drops.iter().filter(|(_, n)| **n > 0).map(named).collect();
         let levels: Vec<String> =
             self.degradation.iter().map(|(level, share)| format!("{level} {:.0} %", share * 100.0)).collect();
-        let [capture, reconstruct, encode, write] = self.stage_cores;
+        let [capture, reconstruct, encode, pictures, write] = self.stage_cores;
         let latency = |l: &LatencySummary| format!("{:.0} / {:.0} / {:.0} ms", l.p50_ms, l.p99_ms, l.max_ms);
         let mut lines = vec![
             format!("  pictures                   {:.1} /s", self.pictures_per_second),
             format!("  degradation                {}", levels.join(", ")),
             format!(
                 "  cores by stage             source {capture:.2}, reconstruct {reconstruct:.2}, encode {encode:.2}, \
-                 write {write:.3}"
+                 pictures {pictures:.2}, write {write:.3}"
             ),
             format!("  picture to mesh            p50 / p99 / longest {}", latency(&self.picture_to_mesh)),
             format!("  group on disk              p50 / p99 / longest {}", latency(&self.group_on_disk)),
