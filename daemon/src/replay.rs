@@ -56,44 +56,33 @@ struct Run {
     player: Player,
 }
 
-/// An open session and the decoders of its runs.
-pub struct Replay {
+/// An open session and the decoders of its runs: any moment, without a list of the scans that there are.
+pub struct Moments {
     path: PathBuf,
     reader: SessionReader<File>,
     header: StreamHeader,
-    stamps: Vec<ReplayStamp>,
     runs: Vec<Run>,
 }
 
-impl Replay {
-    /// Opens a session, finished or not, and reads the stamps of its scans.
+impl Moments {
+    /// Opens a session, finished or not, to show the tracked mesh or each scan as it was seen; sessions of the seed mode have
+    /// one output. Reads none of its groups, however many there are.
     ///
     /// # Errors
-    /// [`ReplayError`] naming the file and the group or byte.
-    pub fn open(path: &Path) -> Result<Self, ReplayError> {
-        Self::open_as(path, Output::default())
-    }
-
-    /// As [`Self::open`], showing the tracked mesh or each scan as it was seen; sessions of the seed mode have one output.
-    ///
-    /// # Errors
-    /// As [`Self::open`].
-    pub fn open_as(path: &Path, output: Output) -> Result<Self, ReplayError> {
+    /// [`ReplayError`] naming the file and the byte.
+    pub fn open(path: &Path, output: Output) -> Result<Self, ReplayError> {
         let mut reader = SessionReader::open(path)?;
         let fail = |reason: String| ReplayError::Content { path: path.into(), reason };
         let (groups, streams) = (reader.groups().to_vec(), reader.streams().to_vec());
         if groups.is_empty() {
             return Err(fail(format!("no complete group to replay ({})", describe(reader.state()))));
         }
-        let (mut runs, mut stamps, mut first_header) = (Vec::new(), Vec::new(), None);
+        let (mut runs, mut first_header) = (Vec::new(), None);
         for (i, stream) in streams.iter().enumerate() {
             let end = streams.get(i + 1).map_or(groups.len(), |next| next.first_group);
             let range = stream.first_group..end.max(stream.first_group);
             let header = StreamHeader::decode(&reader.read_stream(i)?).map_err(|e| fail(e.to_string()))?;
             let times = groups[range.clone()].iter().map(|g| g.time_nanos).collect();
-            for group in range.clone() {
-                stamps.extend(group_stamps(path, &mut reader, &header, group)?);
-            }
             first_header.get_or_insert(header);
             if !range.is_empty() {
                 let player = Player::new(header, times, output).map_err(|e| fail(e.to_string()))?;
@@ -101,19 +90,10 @@ impl Replay {
             }
         }
         let header = first_header.ok_or_else(|| fail("no stream header; the session cannot be decoded".into()))?;
-        Ok(Self { path: path.into(), reader, header, stamps, runs })
+        Ok(Self { path: path.into(), reader, header, runs })
     }
 
-    /// Stream header of the first run.
-    pub fn header(&self) -> StreamHeader {
-        self.header
-    }
-
-    /// Shows the tracked mesh or each scan as it was seen from now on.
-    ///
-    /// # Errors
-    /// [`ReplayError`] as [`Self::open`].
-    pub fn show(&mut self, output: Output) -> Result<(), ReplayError> {
+    fn show(&mut self, output: Output) -> Result<(), ReplayError> {
         let groups = self.reader.groups();
         for run in &mut self.runs {
             let times = groups[run.groups.clone()].iter().map(|g| g.time_nanos).collect();
@@ -127,14 +107,15 @@ impl Replay {
         &self.reader
     }
 
-    /// The container, for reading events.
-    pub fn reader_mut(&mut self) -> &mut SessionReader<File> {
-        &mut self.reader
-    }
-
-    /// Scans of the session in time order.
-    pub fn stamps(&self) -> &[ReplayStamp] {
-        &self.stamps
+    /// Stamps of all scans, in time order.
+    fn stamps(&mut self) -> Result<Vec<ReplayStamp>, ReplayError> {
+        let mut stamps = Vec::new();
+        for run in &self.runs {
+            for group in run.groups.clone() {
+                stamps.extend(group_stamps(&self.path, &mut self.reader, &run.header, group)?);
+            }
+        }
+        Ok(stamps)
     }
 
     /// The scan at a sensor time; before the first and after the last keyframe those are held. Cheapest when times
@@ -159,6 +140,67 @@ impl Replay {
             }
             other => other,
         })
+    }
+}
+
+/// A session opened for replay, and the stamps of its scans.
+pub struct Replay {
+    moments: Moments,
+    stamps: Vec<ReplayStamp>,
+}
+
+impl Replay {
+    /// Opens a session, finished or not, and reads the stamps of its scans.
+    ///
+    /// # Errors
+    /// [`ReplayError`] naming the file and the group or byte.
+    pub fn open(path: &Path) -> Result<Self, ReplayError> {
+        Self::open_as(path, Output::default())
+    }
+
+    /// As [`Self::open`], showing the tracked mesh or each scan as it was seen; sessions of the seed mode have one output.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_as(path: &Path, output: Output) -> Result<Self, ReplayError> {
+        let mut moments = Moments::open(path, output)?;
+        Ok(Self { stamps: moments.stamps()?, moments })
+    }
+
+    /// Stream header of the first run.
+    pub fn header(&self) -> StreamHeader {
+        self.moments.header
+    }
+
+    /// Shows the tracked mesh or each scan as it was seen from now on.
+    ///
+    /// # Errors
+    /// [`ReplayError`] as [`Self::open`].
+    pub fn show(&mut self, output: Output) -> Result<(), ReplayError> {
+        self.moments.show(output)
+    }
+
+    /// The container.
+    pub fn reader(&self) -> &SessionReader<File> {
+        &self.moments.reader
+    }
+
+    /// The container, for reading events.
+    pub fn reader_mut(&mut self) -> &mut SessionReader<File> {
+        &mut self.moments.reader
+    }
+
+    /// Scans of the session in time order.
+    pub fn stamps(&self) -> &[ReplayStamp] {
+        &self.stamps
+    }
+
+    /// As [`Moments::scan_at`].
+    ///
+    /// # Errors
+    /// [`ReplayError`] naming the group that cannot be decoded.
+    pub fn scan_at(&mut self, time_nanos: u64) -> Result<Scan, ReplayError> {
+        self.moments.scan_at(time_nanos)
     }
 }
 

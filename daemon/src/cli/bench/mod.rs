@@ -1,6 +1,7 @@
 //! `gv3 bench live`: the engine of the daemon under its full load, measured.
 
 mod report;
+mod seek;
 
 use super::Outcome;
 use super::capture::seconds;
@@ -26,9 +27,9 @@ const SAMPLE: Duration = Duration::from_millis(250);
 /// Longest wait for the first scan.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// Measure how the daemon's engine keeps up.
+/// Measure how the daemon's engine keeps up, and how soon a session shows any moment.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  gv3 bench live --seconds 60")]
+#[command(after_help = "Examples:\n  gv3 bench live --seconds 60\n  gv3 bench seek smile.gv3")]
 pub struct Bench {
     #[command(subcommand)]
     what: What,
@@ -37,6 +38,7 @@ pub struct Bench {
 #[derive(Debug, Subcommand)]
 enum What {
     Live(BenchLive),
+    Seek(seek::BenchSeek),
 }
 
 /// Record live for a while from a recording played in a loop at the sensor's pace, or from the simulator, and print what it took.
@@ -80,8 +82,10 @@ fn patterns(text: &str) -> Result<u32, String> {
 
 impl Bench {
     pub(super) fn run(self) -> Result<Outcome> {
-        let What::Live(live) = self.what;
-        live.run()
+        match self.what {
+            What::Live(live) => live.run(),
+            What::Seek(seek) => seek.run(),
+        }
     }
 }
 
