@@ -1,6 +1,7 @@
 //! Frame set to scan: the stages of [`crate::light`] in order, on buffers kept between scans.
 
 use super::FrameSet;
+use crate::device::Rig;
 use crate::light::absolute::MeasuredPhases;
 use crate::light::gamma::BurstErrors;
 use crate::light::{
@@ -260,6 +261,14 @@ impl Reconstructor {
             column_px: vec![0.0; width * height],
             grid: PointGrid::new(width, height),
         })
+    }
+
+    /// For opened devices.
+    ///
+    /// # Errors
+    /// As [`Self::with`].
+    pub fn of(rig: &Rig) -> Result<Self, LightError> {
+        Self::with(&rig.calibration, &rig.sequence, &rig.limits, &rig.processing)
     }
 
     /// Depths between which every pixel gets its fringe order, when it is the working range that gives it to a sequence of one
