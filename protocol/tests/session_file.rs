@@ -39,6 +39,18 @@ fn round_trip_through_a_file() {
 }
 
 #[test]
+fn the_tolerance_of_the_coding_is_told_where_there_is_one() {
+    let of = |metadata: &SessionMetadata| metadata.group(key::SESSION).unwrap().number::<f64>(key::TOLERANCE_MM);
+    let metadata = SessionMetadata::new("default", "gv3", 1);
+    assert_eq!(of(&metadata), None);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.gv3");
+    let writer = SessionWriter::create(SessionFile::create(&path, false).unwrap(), &metadata.with_tolerance_mm(0.06));
+    writer.unwrap().finish(&MetadataGroup::new()).unwrap();
+    assert_eq!(of(SessionReader::open(&path).unwrap().metadata()), Some(0.06));
+}
+
+#[test]
 fn totals_add_up() {
     let bytes = small();
     let reader = open(&bytes).unwrap();

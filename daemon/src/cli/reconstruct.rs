@@ -172,7 +172,7 @@ impl Reconstruct {
         if let Some(path) = &self.gamma {
             processing.gamma = Some(read_gamma(path)?);
         }
-        let reconstructor = StillReconstructor::with(calibration, &raw.sequence, limits, &processing)
+        let mut reconstructor = StillReconstructor::with(calibration, &raw.sequence, limits, &processing)
             .with_context(|| capture.name())?;
         let pictures = opened.pictures()?;
         let Reconstruction { scan, rejected } =
