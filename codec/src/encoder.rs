@@ -62,6 +62,14 @@ impl EncoderConfig {
             Self::Shots(config) => config.header(),
         }
     }
+
+    /// Error that is worth correcting, mm; of the default mode.
+    pub fn tolerance_mm(&self) -> Option<f64> {
+        match self {
+            Self::Seed(_) => None,
+            Self::Shots(config) => Some(config.tolerance_mm),
+        }
+    }
 }
 
 /// Encoder of one run.

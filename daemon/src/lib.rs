@@ -12,6 +12,10 @@
 //! ```
 #![deny(unsafe_code)]
 
+// What unit and integration tests share calls the crate by its name.
+#[cfg(test)]
+extern crate self as gv3;
+
 pub mod accuracy;
 #[cfg(feature = "baselines")]
 pub mod baselines;

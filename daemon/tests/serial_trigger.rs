@@ -146,6 +146,17 @@ fn a_controller_that_was_unplugged_is_found_again() {
 }
 
 #[test]
+fn a_controller_is_not_shared_with_another_program() {
+    let (_folder, link) = place();
+    let _board = Board::plug_in(&link, 0);
+    let first = SerialTrigger::open(&config(&link)).unwrap();
+    let error = SerialTrigger::open(&config(&link)).err().unwrap().to_string();
+    assert!(error.starts_with("trigger: ") && error.contains("in use by another program"), "{error}");
+    drop(first);
+    SerialTrigger::open(&config(&link)).unwrap();
+}
+
+#[test]
 fn what_is_no_controller_is_named() {
     let (_folder, link) = place();
     let error = |config: &TriggerConfig| SerialTrigger::open(config).err().unwrap().to_string();

@@ -4,8 +4,8 @@
 
 mod common;
 
+use common::test_rig::small_rig;
 use common::{Place, command};
-use gv3::device::RigConfig;
 use gv3_protocol::session::{SessionReader, verify};
 use rustix::fs::IFlags;
 use rustix::process::{Pid, Signal, kill_process};
@@ -20,21 +20,6 @@ use std::time::{Duration, Instant};
 
 /// Far longer than anything takes on the slowest machine.
 const PATIENCE: Duration = Duration::from_secs(120);
-
-/// The simulated scanner with a camera of 160x120: little work.
-fn small_rig() -> RigConfig {
-    let mut rig = RigConfig::simulated();
-    let mut calibration = rig.calibration.unwrap();
-    let camera = &mut calibration.camera;
-    (camera.width_px, camera.height_px) = (160, 120);
-    for px in [&mut camera.fx_px, &mut camera.fy_px, &mut camera.cx_px, &mut camera.cy_px] {
-        *px /= 4.0;
-    }
-    rig.calibration = Some(calibration);
-    (rig.camera.width_px, rig.camera.height_px) = (160, 120);
-    rig.limits.mesh.min_piece_px = 50;
-    rig
-}
 
 /// A folder with a rig file.
 fn place() -> Place {

@@ -9,6 +9,7 @@ use gv3_protocol::session::verify;
 use std::io::{BufRead, BufReader};
 use std::os::unix::net::UnixDatagram;
 use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 /// Far longer than anything takes on the slowest machine.
@@ -17,15 +18,33 @@ const PATIENCE: Duration = Duration::from_secs(120);
 /// A daemon on the simulated scanner; killed when a test fails.
 struct Daemon {
     child: Child,
-    manager: UnixDatagram,
+    /// What it told the manager, who reads all the time.
+    heard: Receiver<String>,
     address: String,
+}
+
+/// Binds the manager's socket and reads it from a thread, which ends with the receiver.
+fn manage(place: &Place) -> Receiver<String> {
+    let path = place.path("notify");
+    // Of the daemon before; its manager is gone.
+    let _ = std::fs::remove_file(&path);
+    let manager = UnixDatagram::bind(path).unwrap();
+    let (heard, told) = channel();
+    std::thread::spawn(move || {
+        let mut buffer = [0; 512];
+        while let Ok(count) = manager.recv(&mut buffer) {
+            if heard.send(String::from_utf8_lossy(&buffer[..count]).into_owned()).is_err() {
+                return;
+            }
+        }
+    });
+    told
 }
 
 impl Daemon {
     /// Starts it and waits until it is ready.
     fn start(place: &Place) -> Self {
-        let manager = UnixDatagram::bind(place.path("notify")).unwrap();
-        manager.set_read_timeout(Some(PATIENCE)).unwrap();
+        let heard = manage(place);
         let mut command = command(&["serve", "--sim", "--sessions", "sessions", "--listen", "127.0.0.1:0"]);
         command.current_dir(place.path(".")).stdout(Stdio::null()).stderr(Stdio::piped());
         command.env("NOTIFY_SOCKET", place.path("notify")).env("WATCHDOG_USEC", "400000").env_remove("WATCHDOG_PID");
@@ -34,21 +53,16 @@ impl Daemon {
         let address = lines.find_map(|line| Some(line.split_once("http://")?.1.split_once('/')?.0.to_owned())).unwrap();
         // Its messages are read on, so that it never waits for a reader.
         std::thread::spawn(move || lines.for_each(drop));
-        let daemon = Self { child, manager, address };
+        let daemon = Self { child, heard, address };
         daemon.hears("READY=1");
         daemon
     }
 
     /// Waits for a message to the manager with this line.
     fn hears(&self, line: &str) {
-        let (begin, mut buffer) = (Instant::now(), [0; 512]);
-        loop {
+        let begin = Instant::now();
+        while !self.heard.recv_timeout(PATIENCE).unwrap().lines().any(|l| l.starts_with(line)) {
             assert!(begin.elapsed() < PATIENCE, "{line} never came");
-            let count = self.manager.recv(&mut buffer).unwrap();
-            let message = String::from_utf8_lossy(&buffer[..count]).into_owned();
-            if message.lines().any(|l| l.starts_with(line)) {
-                return;
-            }
         }
     }
 
@@ -83,9 +97,7 @@ impl Drop for Daemon {
     }
 }
 
-/// `cargo test -p gv3 --test served -- --ignored`.
 #[test]
-#[ignore = "slow: starts the daemon four times"]
 fn the_manager_hears_of_it_all_and_sigterm_leaves_whole_files_in_every_state() {
     let place = Place::new();
     // Idle; with a configuration read again, and a watchdog that is fed.
@@ -95,14 +107,12 @@ fn the_manager_hears_of_it_all_and_sigterm_leaves_whole_files_in_every_state() {
     daemon.hears("READY=1");
     daemon.hears("WATCHDOG=1");
     daemon.stop();
-    std::fs::remove_file(place.path("notify")).unwrap();
     // Previewing, and fed by frame sets that become scans.
     let daemon = Daemon::start(&place);
     daemon.ctl(&place, "preview").done();
     daemon.hears("WATCHDOG=1");
     daemon.hears("WATCHDOG=1");
     daemon.stop();
-    std::fs::remove_file(place.path("notify")).unwrap();
     // At the beginning of a recording, and in the middle of one.
     for (name, scans) in [("early", 0), ("later", 12)] {
         let daemon = Daemon::start(&place);
@@ -113,7 +123,6 @@ fn the_manager_hears_of_it_all_and_sigterm_leaves_whole_files_in_every_state() {
             std::thread::sleep(Duration::from_millis(100));
         }
         daemon.stop();
-        std::fs::remove_file(place.path("notify")).unwrap();
         let path = place.path(&format!("sessions/{name}.gv3"));
         // Stopped at once there may be no scan, and then there is no file.
         if scans > 0 || path.exists() {

@@ -4,6 +4,7 @@ mod common;
 
 use std::fs;
 use std::io::Cursor;
+use std::os::unix::fs::FileExt;
 
 use common::*;
 use gv3_protocol::session::{
@@ -38,6 +39,18 @@ fn round_trip_through_a_file() {
 }
 
 #[test]
+fn the_tolerance_of_the_coding_is_told_where_there_is_one() {
+    let of = |metadata: &SessionMetadata| metadata.group(key::SESSION).unwrap().number::<f64>(key::TOLERANCE_MM);
+    let metadata = SessionMetadata::new("default", "gv3", 1);
+    assert_eq!(of(&metadata), None);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.gv3");
+    let writer = SessionWriter::create(SessionFile::create(&path, false).unwrap(), &metadata.with_tolerance_mm(0.06));
+    writer.unwrap().finish(&MetadataGroup::new()).unwrap();
+    assert_eq!(of(SessionReader::open(&path).unwrap().metadata()), Some(0.06));
+}
+
+#[test]
 fn totals_add_up() {
     let bytes = small();
     let reader = open(&bytes).unwrap();
@@ -47,6 +60,32 @@ fn totals_add_up() {
     assert_eq!((totals.geometry, totals.texture), (geometry as u64, texture as u64));
     assert_eq!(totals.session, bytes.len() as u64);
     assert_eq!(totals.geometry + totals.texture + totals.container, totals.session);
+}
+
+#[test]
+fn a_file_that_grows_is_read_on_as_if_it_were_opened_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("growing.gv3");
+    let bytes = small();
+    // From the first cut that opens, in steps that end inside of records and at their ends.
+    let opened = (0..bytes.len()).find(|&cut| {
+        fs::write(&path, &bytes[..cut]).unwrap();
+        SessionReader::open(&path).is_ok()
+    });
+    let mut reader = SessionReader::open(&path).unwrap();
+    let mut events = Vec::new();
+    for cut in (opened.unwrap()..bytes.len()).step_by(29).chain([bytes.len(), bytes.len()]) {
+        let SessionState::Unfinished { valid_bytes, .. } = *reader.state() else { panic!("it was opened unfinished") };
+        fs::OpenOptions::new().write(true).open(&path).unwrap().write_all_at(&bytes[..cut], 0).unwrap();
+        reader.read_on().unwrap();
+        let mut fresh = SessionReader::open(&path).unwrap();
+        assert_eq!((reader.groups(), reader.streams()), (fresh.groups(), fresh.streams()), "{cut} bytes");
+        assert_eq!(reader.metadata(), fresh.metadata(), "{cut} bytes");
+        events.extend(reader.events_from(valid_bytes).unwrap());
+        assert_eq!(events, fresh.events().unwrap(), "{cut} bytes");
+    }
+    assert_eq!(reader.groups().len(), groups().len());
+    assert_eq!(reader.read_group(2).unwrap().geometry, groups()[2].geometry);
 }
 
 #[test]

@@ -94,7 +94,7 @@ fn scans(config: &RigConfig, scene: SceneConfig, placement: Placement, count: us
     rig.camera.start()?;
     rig.projector.play(&rig.timing)?;
     let mut assembler = FrameSetAssembler::new(&rig.sequence, &rig.timing);
-    let mut reconstructor = Reconstructor::with(&rig.calibration, &rig.sequence, &rig.limits, &rig.processing)?;
+    let mut reconstructor = Reconstructor::of(&rig)?;
     let mut scans = Vec::with_capacity(count);
     // Without faults every set is complete; a device that gives none must not keep this waiting.
     for _ in 0..(count + 1) * rig.sequence.patterns.len() {

@@ -4,12 +4,12 @@ use super::Outcome;
 use super::progress::{bar, human_bytes};
 use crate::device::{self, Pace, RecordedConfig, Rig, RigConfig};
 use crate::pipeline::raw::run_rig;
-use crate::pipeline::record::ScanObserver;
+use crate::pipeline::record::{ScanObserver, session_metadata};
 use crate::pipeline::{DropCounts, RawRecorded, RawRecorder, Reconstructor, RecordSettings, Recorded, record};
 use anyhow::{Context, Result, anyhow};
 use clap::{ArgGroup, Args};
 use gv3_codec::EncoderConfig;
-use gv3_protocol::session::{SessionFile, SessionMetadata, SessionReader, SessionWriter};
+use gv3_protocol::session::{SessionFile, SessionReader, SessionWriter};
 use serde::Serialize;
 use std::future::Future;
 use std::path::{Path, PathBuf};
@@ -185,15 +185,14 @@ fn record_rig(
     observer: ScanObserver,
 ) -> Result<Recorded> {
     // Before the file: what cannot work leaves no session behind.
-    Reconstructor::with(&rig.calibration, &rig.sequence, &rig.limits, &rig.processing)?;
+    Reconstructor::of(&rig)?;
     let period_nanos = rig.timing.set_period_nanos(rig.sequence.patterns.len());
     let scan_periods = scan_periods(seconds, period_nanos);
     let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
     let encoder = EncoderConfig::new(period_nanos);
-    let metadata =
-        SessionMetadata::new(encoder.header().mode.name(), concat!("gv3 ", env!("CARGO_PKG_VERSION")), created)
-            .with_calibration(&rig.calibration.to_toml()?)
-            .with_configuration(&toml::to_string(config)?);
+    let metadata = session_metadata(&encoder, created)
+        .with_calibration(&rig.calibration.to_toml()?)
+        .with_configuration(&toml::to_string(config)?);
     let writer = SessionWriter::create(SessionFile::create(out, overwrite)?, &metadata)?;
     let (stop, progress) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
     let settings =

@@ -126,7 +126,9 @@ fn sessions(answer: &Value) -> String {
     let line = |s: &Value| {
         let (bytes, seconds) = (human_bytes(s["bytes"].as_u64().unwrap_or(0)), s["seconds"].as_f64().unwrap_or(0.0));
         let [name, state] = ["name", "state"].map(|f| s[f].as_str().unwrap_or("unknown"));
-        format!("{name}  {seconds:.1} s, {} scans, {bytes}, {state}", s["scans"])
+        let smaller = s["ratio"].as_f64().map_or_else(String::new, |ratio| format!(" ({ratio:.0} : 1)"));
+        let tolerance = s["tolerance_mm"].as_f64().map_or_else(String::new, |mm| format!(", tolerance {mm} mm"));
+        format!("{name}  {seconds:.1} s, {} scans, {bytes}{smaller}{tolerance}, {state}", s["scans"])
     };
     if all.is_empty() { "no sessions".into() } else { all.iter().map(line).collect::<Vec<_>>().join("\n") }
 }

@@ -5,14 +5,14 @@ use super::capture::stop_flag;
 use super::progress::{bar, human_bytes};
 use crate::files::{LandmarkTable, LoadedScan, Repairs, ScanFolder};
 use crate::measure::binary_bytes;
-use crate::pipeline::record::write_group;
+use crate::pipeline::record::{session_metadata, write_group};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use gv3_codec::seed::{self, GivenLandmark, MAX_GIVEN_OFFSET_MM};
 use gv3_codec::shot::encoder::ShotConfig;
 use gv3_codec::{CodecError, EncodedGroup, Encoder, EncoderConfig, Pushed, Scan, StreamHeader};
 use gv3_protocol::AtomicFile;
-use gv3_protocol::session::{Event, EventKind, MetadataGroup, SessionMetadata, SessionWriter, key};
+use gv3_protocol::session::{Event, EventKind, MetadataGroup, SessionWriter, key};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -245,9 +245,10 @@ impl Job {
         config: EncoderConfig,
         landmarks: Option<LandmarkTable>,
     ) -> Result<Self> {
+        let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
+        let metadata = session_metadata(&config, created);
         let encoder = Encoder::new(config)?;
         let header = encoder.header();
-        let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
         let settings = format!(
             "fps = {:?}\nkeyframe_interval = {}\nmode = \"{}\"\n{}",
             command.fps,
@@ -255,8 +256,7 @@ impl Job {
             header.mode.name(),
             command.mode_settings(&header)?
         );
-        let producer = concat!("gv3 ", env!("CARGO_PKG_VERSION"));
-        let metadata = SessionMetadata::new(header.mode.name(), producer, created).with_configuration(&settings);
+        let metadata = metadata.with_configuration(&settings);
         let mut writer = SessionWriter::create(AtomicFile::create(&command.out, command.force)?, &metadata)?;
         writer.write_stream(&header.encode())?;
         let report = EncodeReport { input_bytes: folder.raw_bytes(), ..Default::default() };

@@ -119,7 +119,7 @@ pub(super) struct RawScans {
 pub(super) fn reconstruct(folder: &Path, out: &Path, format: ExportFormat, force: bool, json: bool) -> Result<Outcome> {
     let mut sets = RawSets::open(&stored_rig(folder)?)?;
     let rig = sets.rig();
-    let mut reconstructor = Reconstructor::with(&rig.calibration, &rig.sequence, &rig.limits, &rig.processing)?;
+    let mut reconstructor = Reconstructor::of(rig)?;
     let writer = ExportWriter::create(out, format, force)?;
     let mut report = RawScans::default();
     let bar = bar(0, "reconstruct");

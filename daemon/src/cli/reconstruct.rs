@@ -7,7 +7,8 @@ use crate::files::picture::{PictureFormat, read_picture};
 use crate::files::processing_config::read_gamma;
 use crate::files::{ExportFormat, ExportWriter, RawFolder};
 use crate::light::{Calibration, DepthRange, LightError, Limits, RejectedPixels};
-use crate::pipeline::record::write_group;
+use crate::measure::{binary_bytes, obj_bmp_bytes};
+use crate::pipeline::record::{session_metadata, write_group};
 use crate::pipeline::{Reconstruction, StillReconstructor};
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -15,7 +16,7 @@ use gv3_codec::{Encoder, EncoderConfig};
 use gv3_codec::{GreyPicture, Scan};
 use gv3_protocol::AtomicFile;
 use gv3_protocol::raw::RawReader;
-use gv3_protocol::session::{MetadataGroup, SessionMetadata, SessionWriter, key};
+use gv3_protocol::session::{MetadataGroup, SessionWriter, key};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -171,7 +172,7 @@ impl Reconstruct {
         if let Some(path) = &self.gamma {
             processing.gamma = Some(read_gamma(path)?);
         }
-        let reconstructor = StillReconstructor::with(calibration, &raw.sequence, limits, &processing)
+        let mut reconstructor = StillReconstructor::with(calibration, &raw.sequence, limits, &processing)
             .with_context(|| capture.name())?;
         let pictures = opened.pictures()?;
         let Reconstruction { scan, rejected } =
@@ -239,21 +240,25 @@ fn describe(rejected: &RejectedPixels) -> Result<String> {
 
 /// A session of one scan; returns its bytes.
 fn write_session(path: &Path, force: bool, scan: Scan, calibration: &Calibration) -> Result<u64> {
-    let mut encoder = Encoder::new(EncoderConfig::new(SCAN_PERIOD_NANOS))?;
-    let header = encoder.header();
+    let config = EncoderConfig::new(SCAN_PERIOD_NANOS);
     let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
-    let producer = concat!("gv3 ", env!("CARGO_PKG_VERSION"));
-    let metadata =
-        SessionMetadata::new(header.mode.name(), producer, created).with_calibration(&calibration.to_toml()?);
+    let metadata = session_metadata(&config, created).with_calibration(&calibration.to_toml()?);
+    let mut encoder = Encoder::new(config)?;
+    let header = encoder.header();
     let mut writer = SessionWriter::create(AtomicFile::create(path, force)?, &metadata)?;
     writer.write_stream(&header.encode())?;
     let mut scans = 0;
+    let uncoded = [obj_bmp_bytes(&scan), binary_bytes(&scan)];
     let first = encoder.push(scan).context("the scan cannot be coded")?.group;
     for group in [first, encoder.finish().context("the scan cannot be coded")?].into_iter().flatten() {
         write_group(&mut writer, &group, &[])?;
         scans += group.scans as u64;
     }
-    let statistics = MetadataGroup::new().with(key::SCANS, scans).with(key::KEYFRAMES, scans);
+    let statistics = MetadataGroup::new()
+        .with(key::SCANS, scans)
+        .with(key::KEYFRAMES, scans)
+        .with(key::RAW_OBJ_BMP_BYTES, uncoded[0])
+        .with(key::RAW_BINARY_BYTES, uncoded[1]);
     writer.finish(&statistics)?.commit()?;
     Ok(std::fs::metadata(path)?.len())
 }

@@ -5,6 +5,7 @@ pub mod dlpc350;
 pub mod exposure;
 pub mod frame;
 pub mod gv3_usb;
+mod in_use;
 mod paced;
 pub mod plugged;
 pub mod proven_camera;

@@ -103,7 +103,7 @@ fn coordinates_px(
         let decoder = AbsoluteDecoder::uncalibrated(&sequence, direction, config.limits.mask)?;
         let Some(decoder) = decoder else { continue };
         let measured = decoder.measure(&pictures, mask);
-        *out = decoder.resolve(&pictures, measured, mask).coordinate_px;
+        *out = decoder.resolve(&pictures, &measured, mask);
     }
     mask.erode();
     Ok(found)

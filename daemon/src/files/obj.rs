@@ -319,6 +319,38 @@ pub fn obj_bytes(mesh: &TriMesh, material: Option<Material<'_>>) -> Vec<u8> {
     text
 }
 
+/// Length of [`obj_bytes`], counted many times faster than it is written.
+pub fn obj_byte_count(mesh: &TriMesh, material: Option<Material<'_>>) -> u64 {
+    let head = material.map_or(0, |m| ("mtllib \nusemtl scan\n".len() + m.library.len()) as u64);
+    let text = |numbers: &[f32], count: fn(f32) -> u64| numbers.iter().map(|&x| 1 + count(x)).sum::<u64>();
+    let positions: u64 = mesh.positions_mm.iter().map(|p| 2 + text(&p.to_array(), fixed_byte_count::<4>)).sum();
+    let uv: u64 = mesh.uv.iter().flatten().map(|uv| 3 + text(uv, fixed_byte_count::<6>)).sum();
+    let indices = if mesh.uv.is_some() { 2 } else { 1 };
+    let corner = |&v: &u32| indices * (1 + integer_byte_count(f64::from(v) + 1.0));
+    let faces: u64 = mesh.triangles.iter().map(|t| 2 + t.iter().map(corner).sum::<u64>()).sum();
+    head + positions + uv + faces
+}
+
+/// Digits of the whole part.
+fn integer_byte_count(magnitude: f64) -> u64 {
+    const LIMITS: [f64; 9] = [1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9];
+    1 + LIMITS.iter().take_while(|limit| magnitude >= **limit).count() as u64
+}
+
+/// What [`push_fixed`] appends.
+fn fixed_byte_count<const DECIMALS: usize>(x: f32) -> u64 {
+    let half = 0.5 / 10_u64.pow(DECIMALS as u32) as f64;
+    let magnitude = f64::from(x).abs();
+    if magnitude < 1e6 {
+        // No float is halfway between two texts of so many decimals, but zero's neighbours are rounded to it.
+        let sign = u64::from(f64::from(x) < -half);
+        return sign + integer_byte_count(magnitude + half) + 1 + DECIMALS as u64;
+    }
+    let mut text = Vec::new();
+    push_fixed::<DECIMALS>(&mut text, x);
+    text.len() as u64
+}
+
 fn push_numbers<const DECIMALS: usize>(text: &mut Vec<u8>, numbers: &[f32]) {
     for &x in numbers {
         text.push(b' ');

@@ -169,6 +169,23 @@ fn any_mesh() -> impl Strategy<Value = TriMesh> {
 
 proptest! {
     #[test]
+    fn the_length_is_counted_as_it_is_written(
+        numbers in prop::collection::vec(prop_oneof![
+            any::<f32>(), -700.0f32..700.0, -1e-4f32..1e-4, Just(9.999_95), Just(-99.999_95), Just(999.999_9), Just(0.999_999_5),
+        ], 15..60),
+        far in 0u32..2_000_000_000,
+        is_textured: bool,
+    ) {
+        let positions_mm: Vec<Vec3> = numbers.chunks_exact(5).map(|n| Vec3::new(n[0], n[1], n[2])).collect();
+        let uv = is_textured.then(|| numbers.chunks_exact(5).map(|n| [n[3], n[4]]).collect());
+        // What is written need not be a surface.
+        let mesh = TriMesh { positions_mm, triangles: vec![[0, 9, far], [8, 99, 98], [far / 1000, 999, 10]], uv };
+        for material in [None, Some(Material { library: "frame_0001.mtl", picture: "frame_0001.bmp" })] {
+            prop_assert_eq!(obj_byte_count(&mesh, material), obj_bytes(&mesh, material).len() as u64);
+        }
+    }
+
+    #[test]
     fn what_is_written_is_read_back(mesh in any_mesh()) {
         let file = parse_obj(&obj_bytes(&mesh, None), Path::new("a.obj")).unwrap();
         prop_assert!(file.repairs.is_clean());

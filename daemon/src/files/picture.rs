@@ -83,6 +83,11 @@ pub fn picture_bytes(picture: &GreyPicture, format: PictureFormat, path: &Path) 
     encode(&picture.pixels, [picture.width_px, picture.height_px], ExtendedColorType::L8, format, path)
 }
 
+/// Bytes of a picture as an uncompressed BMP file: two heads, a palette of grey, and rows of whole words.
+pub fn bmp_byte_count([width_px, height_px]: [u32; 2]) -> u64 {
+    14 + 40 + 4 * 256 + u64::from(width_px.next_multiple_of(4)) * u64::from(height_px)
+}
+
 /// An image of 8-bit red, green and blue, row by row, as a file of `format`.
 ///
 /// # Errors
@@ -138,6 +143,14 @@ mod tests {
         expected.extend((0..=255_u8).flat_map(|level| [level, level, level, 0]));
         expected.extend_from_slice(&[250, 251, 252, 0, 1, 2, 3, 0]);
         assert_eq!(bytes, expected);
+    }
+
+    #[test]
+    fn the_size_of_a_bmp_is_known_before_it_is_written() {
+        for size_px in [[1, 1], [3, 2], [4, 7], [33, 20]] {
+            let picture = GreyPicture::filled(size_px[0], size_px[1], 5);
+            assert_eq!(bmp_byte_count(size_px), bytes_of(&picture, PictureFormat::Bmp).len() as u64);
+        }
     }
 
     #[test]

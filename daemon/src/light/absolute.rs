@@ -57,15 +57,6 @@ pub struct AbsoluteDecoder {
     chain: Vec<Signal>,
 }
 
-/// What one direction gave.
-#[derive(Debug, Clone)]
-pub struct AbsoluteCoordinates {
-    /// Projector coordinate of every camera pixel, px.
-    pub coordinate_px: Vec<f32>,
-    /// Background A of the finest fringe, grey levels; empty without fringes.
-    pub background: Vec<f32>,
-}
-
 /// Pixels judged and phases measured, before the pixels next to rejected ones are eroded.
 #[derive(Debug, Clone)]
 pub struct MeasuredPhases(Vec<WrappedPhase>);
@@ -211,20 +202,14 @@ impl AbsoluteDecoder {
         }
     }
 
-    /// Coordinates of all kept pixels; rejects, in `mask`, those whose patterns contradict each other.
+    /// Projector coordinates of all kept pixels, px; rejects, in `mask`, those whose patterns contradict each other.
     ///
     /// # Panics
     /// As [`Self::measure`].
-    pub fn resolve(
-        &self,
-        pictures: &[&GreyPicture],
-        mut measured: MeasuredPhases,
-        mask: &mut PixelMask,
-    ) -> AbsoluteCoordinates {
+    pub fn resolve(&self, pictures: &[&GreyPicture], measured: &MeasuredPhases, mask: &mut PixelMask) -> Vec<f32> {
         let mut coordinate_px = vec![0.0; mask.verdicts.len()];
-        self.resolve_into(pictures, &measured, mask, &mut coordinate_px);
-        let background = measured.0.pop().map_or_else(Vec::new, |finest| finest.background);
-        AbsoluteCoordinates { coordinate_px, background }
+        self.resolve_into(pictures, measured, mask, &mut coordinate_px);
+        coordinate_px
     }
 
     /// As [`Self::resolve`], into a slice of the picture's size, px.
@@ -427,7 +412,7 @@ mod tests {
         let decoder = made.unwrap().unwrap();
         let mut mask = PixelMask::new(n as usize, 1);
         let measured = decoder.measure(&refs, &mut mask);
-        (decoder.resolve(&refs, measured, &mut mask).coordinate_px, mask)
+        (decoder.resolve(&refs, &measured, &mut mask), mask)
     }
 
     #[test]

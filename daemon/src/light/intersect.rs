@@ -76,24 +76,6 @@ impl Intersector {
     }
 }
 
-/// One scan by an [`Intersector`].
-///
-/// # Errors
-/// As [`Intersector::new`].
-///
-/// # Panics
-/// As [`Intersector::intersect`].
-pub fn intersect(
-    calibration: &Calibration,
-    coordinates: ProjectorCoordinates<'_>,
-    depth: DepthRange,
-    mask: &mut PixelMask,
-) -> Result<PointGrid, LightError> {
-    let mut grid = PointGrid::new(mask.width_px, mask.height_px);
-    Intersector::new(calibration, depth)?.intersect(coordinates, mask, &mut grid);
-    Ok(grid)
-}
-
 /// Distance of a projector pixel from the epipolar line of a camera pixel, projector pixels; `None` where a lens folds, or where
 /// the rays meet behind the rig.
 pub fn epipolar_distance_px(calibration: &Calibration, camera_px: DVec2, projector_px: DVec2) -> Option<f64> {
@@ -152,13 +134,15 @@ mod tests {
             rays.iter().map(|r| r.extend(1.0) * 600.0 * normal.z / normal.dot(r.extend(1.0))).collect();
         let px: Vec<DVec2> = truth.iter().map(|p| c.projector_px(*p)).collect();
         let (columns, mut rows): (Vec<f32>, Vec<f32>) = px.iter().map(|p| (p.x as f32, p.y as f32)).unzip();
+        let intersector = Intersector::new(&c, DepthRange::default()).unwrap();
         for coordinates in [
             ProjectorCoordinates::Columns(&columns),
             ProjectorCoordinates::Rows(&rows),
             ProjectorCoordinates::Both(&columns, &rows),
         ] {
             let mut mask = PixelMask::new(64, 48);
-            let grid = intersect(&c, coordinates, DepthRange::default(), &mut mask).unwrap();
+            let mut grid = PointGrid::new(64, 48);
+            intersector.intersect(coordinates, &mut mask, &mut grid);
             assert_eq!(mask.count().total(), 0);
             for (point, truth) in grid.points_mm.iter().zip(&truth) {
                 let error = (super::super::triangulate::scan_from_camera(*point).as_dvec3() - truth).length();
@@ -167,7 +151,7 @@ mod tests {
         }
         rows[100] += 12.0;
         let mut mask = PixelMask::new(64, 48);
-        intersect(&c, ProjectorCoordinates::Both(&columns, &rows), DepthRange::default(), &mut mask).unwrap();
+        intersector.intersect(ProjectorCoordinates::Both(&columns, &rows), &mut mask, &mut PointGrid::new(64, 48));
         assert_eq!((mask.verdicts[100], mask.count().total()), (Rejection::Epipolar, 1));
     }
 }

@@ -42,7 +42,7 @@ pub use gamma::GammaTable;
 pub use geometric::MinimumPhase;
 pub use gray_code::{GrayCodes, GrayDecoder};
 pub use grid_mesh::{GridMesher, MeshLimits};
-pub use intersect::{Intersector, ProjectorCoordinates, epipolar_distance_px, intersect};
+pub use intersect::{Intersector, ProjectorCoordinates, epipolar_distance_px};
 pub use mask::{MaskLimits, PixelMask, RejectedPixels, Rejection};
 pub use motion::MotionCorrector;
 pub use pattern::{Direction, Pattern, PatternKind, PatternSequence};

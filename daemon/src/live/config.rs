@@ -30,18 +30,20 @@ impl LiveConfig {
         RigConfig::read(path).map(Self::of)
     }
 
-    /// Checks everything that can be checked without the devices.
+    /// Checks everything that can be checked without the devices; gives what had to be built for that, to run with it.
     ///
     /// # Errors
-    /// [`LiveError::Device`] naming the field.
-    pub fn check(&self) -> Result<(), LiveError> {
+    /// [`LiveError::Config`] naming the field.
+    pub fn check(&self) -> Result<Reconstructor, LiveError> {
+        self.reconstructor().map_err(LiveError::Config)
+    }
+
+    fn reconstructor(&self) -> Result<Reconstructor, DeviceError> {
         self.rig.validate()?;
         self.sessions.validate()?;
         let processing = self.rig.processing.read();
         let processing = processing.map_err(|e| DeviceError::config("processing.gamma_file", e.to_string()))?;
         let calibration = self.rig.calibration()?;
-        Reconstructor::with(&calibration, &self.rig.sequence, &self.rig.limits, &processing)
-            .map_err(DeviceError::from)?;
-        Ok(())
+        Ok(Reconstructor::with(&calibration, &self.rig.sequence, &self.rig.limits, &processing)?)
     }
 }

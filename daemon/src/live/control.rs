@@ -5,13 +5,14 @@ use super::status::ShownRecording;
 use super::{Inner, LiveConfig, LiveError, LiveState, RecordingRequest, RecordingStarted, RecordingStopped};
 use crate::device::{PacedCamera, Rig};
 use crate::light::Calibration;
+use crate::pipeline::record::session_metadata;
 use crate::pipeline::{
-    Ended, Pipeline, PipelineSettings, Progress, RawRecorded, RawRecorder, RawTap, RecordError, Recording,
-    SegmentLimits,
+    Ended, Pipeline, PipelineSettings, Progress, RawRecorded, RawRecorder, RawTap, Reconstructor, RecordError,
+    Recording, SegmentLimits,
 };
 use crate::store::{SessionName, StoreError};
 use gv3_codec::EncoderConfig;
-use gv3_protocol::session::{Event, EventKind, SessionMetadata};
+use gv3_protocol::session::{Event, EventKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,6 +27,8 @@ const MAX_MARK_BYTES: usize = 1000;
 /// What runs.
 pub(super) struct Control {
     pub config: LiveConfig,
+    /// Built when the configuration was checked, for the run that comes next.
+    ready: Option<Reconstructor>,
     pub run: Option<Run>,
 }
 
@@ -49,8 +52,8 @@ struct Active {
 }
 
 impl Control {
-    pub fn new(config: LiveConfig) -> Self {
-        Self { config, run: None }
+    pub fn new(config: LiveConfig, reconstructor: Reconstructor) -> Self {
+        Self { config, ready: Some(reconstructor), run: None }
     }
 
     pub fn start_scanner(&mut self, inner: &Inner) -> Result<(), LiveError> {
@@ -77,7 +80,7 @@ impl Control {
         }
     }
 
-    fn begin_run(&self, inner: &Inner) -> Result<Run, LiveError> {
+    fn begin_run(&mut self, inner: &Inner) -> Result<Run, LiveError> {
         let rig = (inner.ground.open_rig)(&self.config.rig)?;
         let (mut rig, tap) = RawTap::attach(paced(rig));
         rig.silence_limit = Duration::from_secs(self.config.rig.silence_limit_seconds.into());
@@ -91,7 +94,11 @@ impl Control {
             stop: Arc::default(),
             monitor: Arc::clone(&inner.monitor),
         };
-        let pipeline = Pipeline::start(rig, settings, None)?;
+        let reconstructor = match self.ready.take() {
+            Some(ready) => ready,
+            None => Reconstructor::of(&rig).map_err(RecordError::from)?,
+        };
+        let pipeline = Pipeline::start(rig, reconstructor, settings, None)?;
         let set_bytes = pixels * patterns as u64;
         Ok(Run { pipeline, tap, calibration, period_nanos, set_bytes, recording: None })
     }
@@ -171,7 +178,7 @@ impl Control {
     }
 
     pub fn reload(&mut self, inner: &Inner, config: LiveConfig) -> Result<(), LiveError> {
-        config.check()?;
+        let reconstructor = config.check()?;
         let directory = &config.sessions.directory;
         std::fs::create_dir_all(directory).map_err(|e| LiveError::disk(directory, format!("cannot make it: {e}")))?;
         let is_recording = self.run.as_ref().is_some_and(|run| run.recording.is_some());
@@ -181,10 +188,11 @@ impl Control {
             return Err(LiveError::State(reason.into()));
         }
         let before = std::mem::replace(&mut self.config, config);
+        self.ready = (!is_same_rig || self.run.is_none()).then_some(reconstructor);
         if !is_same_rig && self.run.is_some() {
             let restarted = self.stop_scanner(inner).and_then(|()| self.start_scanner(inner));
             if let Err(error) = restarted {
-                self.config = before;
+                (self.config, self.ready) = (before, None);
                 // The error is that of the new configuration; the status tells how the old one fares.
                 let _ = self.start_scanner(inner);
                 return Err(error);
@@ -269,9 +277,8 @@ impl Run {
 
     fn sink(&self, inner: &Inner, config: &LiveConfig, name: &SessionName) -> Result<SegmentedSink, LiveError> {
         let fail = |e: &dyn std::fmt::Display| LiveError::State(format!("the configuration cannot be stored: {e}"));
-        let mode = EncoderConfig::new(self.period_nanos).header().mode.name();
         // The time of creation is set with every file.
-        let metadata = SessionMetadata::new(mode, concat!("gv3 ", env!("CARGO_PKG_VERSION")), 0)
+        let metadata = session_metadata(&EncoderConfig::new(self.period_nanos), 0)
             .with_calibration(&self.calibration.to_toml().map_err(|e| fail(&e))?)
             .with_configuration(&toml::to_string(&config.rig).map_err(|e| fail(&e))?);
         let ground = Arc::clone(&inner.ground);

@@ -17,7 +17,10 @@ pub enum LiveError {
     /// A name that cannot be taken, or a session directory that cannot be read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A configuration that cannot work, or a device that does not.
+    /// A configuration that cannot work.
+    #[error("{0}")]
+    Config(DeviceError),
+    /// A device that does not do what it is asked.
     #[error(transparent)]
     Device(#[from] DeviceError),
     /// Scanning or recording failed.

@@ -11,6 +11,8 @@ mod config;
 mod control;
 mod disk;
 mod error;
+#[cfg(test)]
+pub(crate) mod gate;
 mod request;
 mod segments;
 mod status;
@@ -44,7 +46,7 @@ pub type WallClock = dyn Fn() -> SystemTime + Send + Sync;
 
 /// What the engine stands on; replaced in tests.
 pub struct Ground {
-    /// Opens the devices of a configuration.
+    /// Opens the devices of a configuration, with its calibration, patterns and limits.
     pub open_rig: Box<OpenRig>,
     /// Where sessions are written to.
     pub disk: Arc<dyn Disk>,
@@ -81,7 +83,7 @@ impl Live {
     /// An idle engine; the devices need not be there.
     ///
     /// # Errors
-    /// [`LiveError::Device`] for a configuration that cannot work, [`LiveError::Disk`] when the session directory cannot be
+    /// [`LiveError::Config`] for a configuration that cannot work, [`LiveError::Disk`] when the session directory cannot be
     /// made.
     pub fn open(config: LiveConfig) -> Result<Self, LiveError> {
         Self::open_on(config, Ground::default())
@@ -92,14 +94,14 @@ impl Live {
     /// # Errors
     /// As [`Self::open`].
     pub fn open_on(config: LiveConfig, ground: Ground) -> Result<Self, LiveError> {
-        config.check()?;
+        let reconstructor = config.check()?;
         let directory = &config.sessions.directory;
         std::fs::create_dir_all(directory).map_err(|e| LiveError::disk(directory, format!("cannot make it: {e}")))?;
         let shown = Shown::of(&config, &*ground.disk);
         let inner = Arc::new(Inner {
             ground: Arc::new(ground),
             monitor: Arc::new(Monitor::default()),
-            control: Mutex::new(Control::new(config)),
+            control: Mutex::new(Control::new(config, reconstructor)),
             shown: Mutex::new(shown),
             is_shut: AtomicBool::new(false),
             opened: Instant::now(),
@@ -165,8 +167,8 @@ impl Live {
     /// Takes another configuration: all of it or nothing. The scanner is started again when its devices change.
     ///
     /// # Errors
-    /// [`LiveError::State`] while a recording runs and the devices would change, [`LiveError::Device`] for one that cannot
-    /// work: the one before then holds on.
+    /// [`LiveError::State`] while a recording runs and the devices would change, [`LiveError::Config`] for one that cannot
+    /// work, [`LiveError::Device`] for one whose devices do not: the one before then holds on.
     pub fn reload(&self, config: LiveConfig) -> Result<(), LiveError> {
         self.inner.control().reload(&self.inner, config)
     }

@@ -145,6 +145,35 @@ fn segments_follow_one_another_and_each_decodes_alone() {
 }
 
 #[test]
+fn a_file_that_is_being_recorded_is_read_on_and_not_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let live = Live::open(config(folder.path())).unwrap();
+    let directory = SessionDirectory::open(&folder.path().join("sessions")).unwrap();
+    live.start_recording(named("growing")).unwrap();
+    wait_for_scans(&live, 15);
+    live.mark("early").unwrap();
+    wait_for_scans(&live, 35);
+    let (name, path) = (SessionName::new("growing").unwrap(), folder.path().join("sessions/growing.gv3"));
+    let early = directory.detail(&name).unwrap();
+    assert!(early.groups.len() >= 2 && early.events.iter().any(|event| event["text"] == "early"), "{early:?}");
+    // What was read before may go bad: nobody looks at it again.
+    let first = SessionReader::open(&path).unwrap().groups()[0];
+    let file = std::fs::File::options().write(true).open(&path).unwrap();
+    std::os::unix::fs::FileExt::write_all_at(&file, &[0xff; 16], first.chunk_offset + first.chunk_bytes / 2).unwrap();
+    assert_eq!(SessionReader::open(&path).unwrap().groups().len(), 0);
+    live.mark("late").unwrap();
+    let known = live.status().recording.unwrap().scans;
+    wait_for_scans(&live, known + 21);
+    let late = directory.detail(&name).unwrap();
+    assert_eq!(late.groups[..early.groups.len()], early.groups);
+    assert!(late.groups.len() > early.groups.len(), "{late:?}");
+    let texts: Vec<_> = late.events.iter().filter_map(|event| event["text"].as_str()).collect();
+    assert_eq!(texts, ["early", "late"]);
+    // Whether its end finds the damage is another matter.
+    let _ = live.shut_down();
+}
+
+#[test]
 fn a_clock_that_jumps_changes_labels_and_nothing_else() {
     let folder = tempfile::tempdir().unwrap();
     let jumps = AtomicU64::new(0);
@@ -168,6 +197,8 @@ fn a_clock_that_jumps_changes_labels_and_nothing_else() {
     let ticks = detail.last_tick - detail.first_tick;
     assert_eq!(summary.seconds, ticks as f64 * detail.period_nanos as f64 * 1e-9);
     assert_eq!((summary.scans, detail.missing_ticks), (stopped.scans, ticks + 1 - stopped.scans));
+    assert!(summary.ratio.is_some_and(|ratio| (10.0..10_000.0).contains(&ratio)), "{summary:?}");
+    assert_eq!(summary.tolerance_mm, Some(0.1));
     let mut player = SessionPlayer::open(&directory.files(&name).unwrap(), None).unwrap();
     assert!(player.stamps().windows(2).all(|w| w[0].time_nanos < w[1].time_nanos));
     let last = player.stamps().last().unwrap().time_nanos;
@@ -220,7 +251,7 @@ fn a_configuration_is_taken_whole_or_not_at_all() {
     live.start_scanner().unwrap();
     let mut bad = before.clone();
     (bad.sessions.keep_days, bad.rig.camera.width_px) = (Some(1.0), 99);
-    assert!(matches!(live.reload(bad), Err(LiveError::Device(_))));
+    assert!(matches!(live.reload(bad), Err(LiveError::Config(_))));
     assert_eq!(live.config(), before);
     live.start_recording(named("one")).unwrap();
     let mut other = before.clone();

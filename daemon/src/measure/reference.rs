@@ -1,10 +1,9 @@
 //! Scans that a decoded output is measured against.
 
-use crate::files::obj::{Material, obj_bytes};
-use crate::files::picture::{PictureFormat, picture_bytes};
+use crate::files::obj::{Material, obj_byte_count};
+use crate::files::picture::bmp_byte_count;
 use crate::files::{FileError, ScanFolder, ScanSpool};
 use gv3_codec::Scan;
-use std::path::Path;
 
 /// Scans that came in.
 pub trait Reference: Send {
@@ -43,14 +42,11 @@ impl Reference for ScanSpool {
     }
 }
 
-/// What a scan takes as OBJ and BMP files, by writing them to memory.
+/// What a scan takes as OBJ and BMP files.
 pub fn obj_bmp_bytes(scan: &Scan) -> u64 {
     let material = scan.texture.as_ref().map(|_| Material { library: "frame_0000.mtl", picture: "frame_0000.bmp" });
-    let picture = scan
-        .texture
-        .as_ref()
-        .map_or(0, |t| picture_bytes(t, PictureFormat::Bmp, Path::new("frame_0000.bmp")).map_or(0, |b| b.len()));
-    (obj_bytes(&scan.mesh, material).len() + picture) as u64
+    let picture = scan.texture.as_ref().map_or(0, |t| bmp_byte_count([t.width_px, t.height_px]));
+    obj_byte_count(&scan.mesh, material) + picture
 }
 
 /// A scan as float32 vertices, u32 triangles and 8-bit texture.

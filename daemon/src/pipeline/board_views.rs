@@ -165,8 +165,8 @@ fn projector_coordinates(
     let column_phases = columns.measure(&refs, &mut mask);
     let row_phases = rows.measure(&refs, &mut mask);
     mask.erode();
-    let columns_px = columns.resolve(&refs, column_phases, &mut mask).coordinate_px;
-    let rows_px = rows.resolve(&refs, row_phases, &mut mask).coordinate_px;
+    let columns_px = columns.resolve(&refs, &column_phases, &mut mask);
+    let rows_px = rows.resolve(&refs, &row_phases, &mut mask);
     Ok((columns_px, rows_px, mask))
 }
 

@@ -120,7 +120,7 @@ impl EncodeStage {
             run.fail(RecordError::Observer(reason));
             return Ok(());
         }
-        let (time_nanos, tick) = (scan.time_nanos, scan.tick);
+        let (time_nanos, tick, uncoded) = (scan.time_nanos, scan.tick, run.encoded.uncoded.and(&scan));
         let begin = Instant::now();
         encoder.set_corrects_between(self.monitor.degradation() == Degradation::None);
         let pushed = encoder.push(scan);
@@ -131,6 +131,7 @@ impl EncodeStage {
         match pushed {
             Ok(pushed) => {
                 (run.arrived, run.first_tick) = (arrived, run.first_tick.or(Some(tick)));
+                run.encoded.uncoded = uncoded;
                 self.monitor.is_key_refused.store(pushed.not_key.is_some(), Ordering::Relaxed);
                 if let Some(error) = pushed.not_key {
                     warn!(tick, %error, "no keyframe, trying the next scan");

@@ -1,6 +1,7 @@
 //! Frame set to scan: the stages of [`crate::light`] in order, on buffers kept between scans.
 
 use super::FrameSet;
+use crate::device::Rig;
 use crate::light::absolute::MeasuredPhases;
 use crate::light::gamma::BurstErrors;
 use crate::light::{
@@ -262,6 +263,14 @@ impl Reconstructor {
         })
     }
 
+    /// For opened devices.
+    ///
+    /// # Errors
+    /// As [`Self::with`].
+    pub fn of(rig: &Rig) -> Result<Self, LightError> {
+        Self::with(&rig.calibration, &rig.sequence, &rig.limits, &rig.processing)
+    }
+
     /// Depths between which every pixel gets its fringe order, when it is the working range that gives it to a sequence of one
     /// frequency; a surface outside comes out in a wrong place.
     pub fn valid_depth(&self) -> Option<DepthRange> {
@@ -275,10 +284,20 @@ impl Reconstructor {
     pub fn reconstruct(&mut self, set: &FrameSet) -> Result<Reconstruction, LightError> {
         let pictures: Vec<&GreyPicture> = set.frames.iter().map(|f| &f.picture).collect();
         self.check_pictures(&pictures)?;
+        Ok(self.reconstruct_pictures(&pictures, set.tick, set.time_nanos))
+    }
+
+    /// The scan of pictures that were checked.
+    pub(super) fn reconstruct_pictures(
+        &mut self,
+        pictures: &[&GreyPicture],
+        tick: u64,
+        time_nanos: u64,
+    ) -> Reconstruction {
         self.mask.clear();
-        self.decoding.decode(&pictures, &mut self.mask, &mut self.column_px);
+        self.decoding.decode(pictures, &mut self.mask, &mut self.column_px);
         if let Some(motion) = &mut self.motion {
-            motion.correct(set.tick, &self.mask, &mut self.column_px);
+            motion.correct(tick, &self.mask, &mut self.column_px);
         }
         match &self.points {
             Points::Columns(triangulator) => {
@@ -289,9 +308,8 @@ impl Reconstructor {
             }
         }
         let mesh = self.mesher.mesh(&self.grid, &mut self.mask);
-        let texture = Some(self.texture(&pictures));
-        let scan = Scan { tick: set.tick, time_nanos: set.time_nanos, mesh, texture };
-        Ok(Reconstruction { scan, rejected: self.mask.count() })
+        let texture = Some(self.texture(pictures));
+        Reconstruction { scan: Scan { tick, time_nanos, mesh, texture }, rejected: self.mask.count() }
     }
 
     /// Maps of the last frame set; `None` of patterns without fringes.
@@ -307,11 +325,21 @@ impl Reconstructor {
         })
     }
 
-    /// The background of the finest fringes, else the white picture, else the first.
+    /// The background of the finest fringes, else the white picture, else the mean of all.
     fn texture(&self, pictures: &[&GreyPicture]) -> GreyPicture {
+        let [width, height] = self.size_px;
         match (self.decoding.background(), self.white) {
-            (Some(background), _) => grid_mesh::texture(self.size_px[0], self.size_px[1], background),
-            (None, white) => pictures[white.unwrap_or(0)].clone(),
+            (Some(background), _) => grid_mesh::texture(width, height, background),
+            (None, Some(white)) => pictures[white].clone(),
+            (None, None) => {
+                let mut mean = vec![0.0f32; pictures[0].pixels.len()];
+                for picture in pictures {
+                    for (sum, &level) in mean.iter_mut().zip(&picture.pixels) {
+                        *sum += f32::from(level) / pictures.len() as f32;
+                    }
+                }
+                grid_mesh::texture(width, height, &mean)
+            }
         }
     }
 

@@ -1,14 +1,16 @@
 //! A recording in the foreground: the whole pipeline for one session.
 
-use super::DropCounts;
 use super::flow::Captured;
 use super::monitor::Monitor;
 use super::recording::{Closed, GroupSink, Progress, Recording, SegmentLimits};
 use super::stages::{Pipeline, PipelineSettings};
+use super::{DropCounts, Reconstructor};
 use crate::device::{DeviceError, Rig};
 use crate::light::{LightError, RejectedPixels};
 use gv3_codec::{CodecError, EncodedGroup, EncoderConfig, StreamHeader};
-use gv3_protocol::session::{Event, GroupRecord, MetadataGroup, SessionError, SessionFile, SessionWriter, SyncData};
+use gv3_protocol::session::{
+    Event, GroupRecord, MetadataGroup, SessionError, SessionFile, SessionMetadata, SessionWriter, SyncData,
+};
 use std::io::{Seek, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -125,7 +127,8 @@ fn record_here(
         stop: settings.stop,
         monitor: Arc::new(Monitor::default()),
     };
-    let mut pipeline = Pipeline::start(rig, running, Some(recording))?;
+    let reconstructor = Reconstructor::of(&rig)?;
+    let mut pipeline = Pipeline::start(rig, reconstructor, running, Some(recording))?;
     let (cause, captured) = match pipeline.wait() {
         Ok(captured) => (None, captured),
         Err(error) => (Some(error), Captured::default()),
@@ -165,6 +168,16 @@ impl GroupSink for FileSink {
 
     fn closed(&self) -> Closed {
         Closed::default()
+    }
+}
+
+/// Metadata of a session of scans coded in this way, begun `created_unix_nanos` after 1970-01-01 UTC.
+pub fn session_metadata(encoder: &EncoderConfig, created_unix_nanos: u64) -> SessionMetadata {
+    let producer = concat!("gv3 ", env!("CARGO_PKG_VERSION"));
+    let metadata = SessionMetadata::new(encoder.header().mode.name(), producer, created_unix_nanos);
+    match encoder.tolerance_mm() {
+        Some(tolerance_mm) => metadata.with_tolerance_mm(tolerance_mm),
+        None => metadata,
     }
 }
 

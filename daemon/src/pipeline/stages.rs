@@ -97,12 +97,16 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// Starts the stages, and the scanner with them; a recording given here has its first scan.
+    /// Starts the stages around the rig's reconstructor, and the scanner with them; a recording given here has its first scan.
     ///
     /// # Errors
-    /// [`RecordError::Light`] when reconstruction cannot work with this rig, [`RecordError::Stage`] without threads.
-    pub fn start(rig: Rig, settings: PipelineSettings, first: Option<Recording>) -> Result<Self, RecordError> {
-        let reconstructor = Reconstructor::with(&rig.calibration, &rig.sequence, &rig.limits, &rig.processing)?;
+    /// [`RecordError::Stage`] without threads.
+    pub fn start(
+        rig: Rig,
+        reconstructor: Reconstructor,
+        settings: PipelineSettings,
+        first: Option<Recording>,
+    ) -> Result<Self, RecordError> {
         if let Some(DepthRange { near_mm, far_mm }) = reconstructor.valid_depth() {
             info!("one frequency: fringe orders are right from {near_mm:.0} to {far_mm:.0} mm");
         }
@@ -261,6 +265,7 @@ mod tests {
         let rig = device::open(&small_rig()).unwrap();
         let period_nanos = rig.timing.set_period_nanos(rig.sequence.patterns.len());
         let rig = Rig { camera: Box::new(PacedCamera::new(rig.camera)), ..rig };
+        let reconstructor = Reconstructor::of(&rig).unwrap();
         let monitor = Arc::new(Monitor::default());
         let settings =
             PipelineSettings { scan_periods: None, is_live: true, stop: Arc::default(), monitor: Arc::clone(&monitor) };
@@ -277,7 +282,7 @@ mod tests {
             progress: Arc::<Progress>::default(),
             abort: Arc::default(),
         };
-        let pipeline = Pipeline::start(rig, settings, Some(recording)).unwrap();
+        let pipeline = Pipeline::start(rig, reconstructor, settings, Some(recording)).unwrap();
         let begin = Instant::now();
         while monitor.drops().get("degradation_between").is_none_or(|n| *n < 30) {
             assert!(begin.elapsed() < Duration::from_secs(120), "it never degraded: {:?}", monitor.metrics());

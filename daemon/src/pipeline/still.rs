@@ -1,13 +1,13 @@
-//! One scan from the pictures of any pattern sequence; where the live [`super::Reconstructor`] is fast, this is general.
+//! A still scan: the pictures of one sequence, taken by hand as often as not, so that each is looked at before the
+//! [`super::Reconstructor`] gets them; and what pictures of a flat board tell of the projector.
 
-use super::Reconstruction;
+use super::{Reconstruction, Reconstructor};
 use crate::light::gamma::{BoardFigures, BoardPhase};
 use crate::light::{
-    AbsoluteDecoder, Calibration, Direction, GammaTable, GridMesher, LightError, Limits, MaskLimits, MotionCorrection,
-    Pattern, PatternKind, PatternSequence, PixelMask, PointGrid, Processing, ProjectorCoordinates, grid_mesh,
-    intersect,
+    AbsoluteDecoder, Calibration, Direction, GammaTable, LightError, Limits, MaskLimits, MotionCorrection, Pattern,
+    PatternKind, PatternSequence, PixelMask, Processing,
 };
-use gv3_codec::{GreyPicture, Scan};
+use gv3_codec::GreyPicture;
 
 /// Turns the pictures of one sequence into a scan.
 #[derive(Debug, Clone)]
@@ -15,8 +15,8 @@ pub struct StillReconstructor {
     calibration: Calibration,
     sequence: PatternSequence,
     limits: Limits,
-    columns: Option<AbsoluteDecoder>,
-    rows: Option<AbsoluteDecoder>,
+    processing: Processing,
+    reconstructor: Reconstructor,
 }
 
 impl StillReconstructor {
@@ -38,17 +38,13 @@ impl StillReconstructor {
         limits: &Limits,
         processing: &Processing,
     ) -> Result<Self, LightError> {
-        super::check_rig(calibration, sequence, limits)?;
         if processing.motion != MotionCorrection::None {
             let reason = "a single scan has no frame set before it to see motion with; leave the key out";
             return Err(LightError::field("processing.motion", reason));
         }
-        let decoder = |d| AbsoluteDecoder::with(calibration, sequence, d, limits, processing);
-        let (columns, rows) = (decoder(Direction::Columns)?, decoder(Direction::Rows)?);
-        if columns.is_none() && rows.is_none() {
-            return Err(LightError::field("sequence.patterns", "no pattern codes columns or rows"));
-        }
-        Ok(Self { calibration: *calibration, sequence: sequence.clone(), limits: *limits, columns, rows })
+        let reconstructor = Reconstructor::with(calibration, sequence, limits, processing)?;
+        let (calibration, sequence, limits) = (*calibration, sequence.clone(), *limits);
+        Ok(Self { calibration, sequence, limits, processing: processing.clone(), reconstructor })
     }
 
     /// Phase errors of the projector's response from pictures of a flat board, for every burst.
@@ -60,12 +56,14 @@ impl StillReconstructor {
         let refs: Vec<&GreyPicture> = pictures.iter().collect();
         let camera = &self.calibration.camera;
         let (mut whole, mut first) = (GammaTable::default(), None);
-        for decoder in [&self.columns, &self.rows].into_iter().flatten().filter(|d| d.bursts().next().is_some()) {
+        for direction in [Direction::Columns, Direction::Rows] {
+            let (calibration, limits) = (&self.calibration, &self.limits);
+            let made = AbsoluteDecoder::with(calibration, &self.sequence, direction, limits, &self.processing)?;
+            let Some(decoder) = made.filter(|d| d.bursts().next().is_some()) else { continue };
             let mut mask = PixelMask::new(camera.width_px as usize, camera.height_px as usize);
             let measured = decoder.measure(&refs, &mut mask);
             mask.erode();
-            let mut coordinate_px = vec![0.0; mask.verdicts.len()];
-            decoder.resolve_into(&refs, &measured, &mut mask, &mut coordinate_px);
+            let coordinate_px = decoder.resolve(&refs, &measured, &mut mask);
             let bursts: Vec<BoardPhase<'_>> = decoder
                 .bursts()
                 .zip(measured.bursts())
@@ -84,46 +82,9 @@ impl StillReconstructor {
     ///
     /// # Errors
     /// [`LightError::Field`] naming the picture, 0-based: too few, of another size, all dark, all saturated.
-    pub fn reconstruct(&self, pictures: &[GreyPicture]) -> Result<Reconstruction, LightError> {
+    pub fn reconstruct(&mut self, pictures: &[GreyPicture]) -> Result<Reconstruction, LightError> {
         self.check_pictures(pictures)?;
-        let refs: Vec<&GreyPicture> = pictures.iter().collect();
-        let camera = &self.calibration.camera;
-        let mut mask = PixelMask::new(camera.width_px as usize, camera.height_px as usize);
-        let column_phases = self.columns.as_ref().map(|d| (d, d.measure(&refs, &mut mask)));
-        let row_phases = self.rows.as_ref().map(|d| (d, d.measure(&refs, &mut mask)));
-        mask.erode();
-        let columns = column_phases.map(|(d, measured)| d.resolve(&refs, measured, &mut mask));
-        let rows = row_phases.map(|(d, measured)| d.resolve(&refs, measured, &mut mask));
-        let coordinates = match (&columns, &rows) {
-            (Some(c), Some(r)) => ProjectorCoordinates::Both(&c.coordinate_px, &r.coordinate_px),
-            (Some(c), None) => ProjectorCoordinates::Columns(&c.coordinate_px),
-            (None, Some(r)) => ProjectorCoordinates::Rows(&r.coordinate_px),
-            (None, None) => return Err(LightError::field("sequence.patterns", "no pattern codes columns or rows")),
-        };
-        let grid: PointGrid = intersect(&self.calibration, coordinates, self.limits.depth, &mut mask)?;
-        let mesh = GridMesher::new(self.limits.mesh)?.mesh(&grid, &mut mask);
-        let background = columns.or(rows).map_or_else(Vec::new, |c| c.background);
-        let texture = Some(self.texture(pictures, &background));
-        let scan = Scan { tick: 0, time_nanos: 0, mesh, texture };
-        Ok(Reconstruction { scan, rejected: mask.count() })
-    }
-
-    /// The white picture, else the background of the finest fringes, else the mean of all pictures.
-    fn texture(&self, pictures: &[GreyPicture], background: &[f32]) -> GreyPicture {
-        let [width, height] = [self.calibration.camera.width_px, self.calibration.camera.height_px];
-        if let Some(white) = self.sequence.patterns.iter().position(|p| p.kind == PatternKind::White) {
-            return pictures[white].clone();
-        }
-        if !background.is_empty() {
-            return grid_mesh::texture(width, height, background);
-        }
-        let mut mean = vec![0.0f32; pictures[0].pixels.len()];
-        for picture in pictures {
-            for (sum, &level) in mean.iter_mut().zip(&picture.pixels) {
-                *sum += f32::from(level) / pictures.len() as f32;
-            }
-        }
-        grid_mesh::texture(width, height, &mean)
+        Ok(self.reconstructor.reconstruct_pictures(&pictures.iter().collect::<Vec<_>>(), 0, 0))
     }
 
     fn check_pictures(&self, pictures: &[GreyPicture]) -> Result<(), LightError> {
@@ -229,7 +190,7 @@ mod tests {
             (PatternSequence::heterodyne(size, both[0], 20.0, 4), 0.2),
             (PatternSequence::two_frequency(size, 160.0, 20.0, 3), 0.2),
         ] {
-            let reconstructor = StillReconstructor::new(&rig(), &sequence, &limits()).unwrap();
+            let mut reconstructor = StillReconstructor::new(&rig(), &sequence, &limits()).unwrap();
             let Reconstruction { scan, rejected } = reconstructor.reconstruct(&pictures(&sequence)).unwrap();
             scan.mesh.validate().unwrap();
             assert_eq!(scan.mesh.vertex_count() as u64 + rejected.total(), 160 * 120);
@@ -248,7 +209,7 @@ mod tests {
         let scan = |near_mm: f64, far_mm: f64| {
             let mut limits = limits();
             (limits.depth.near_mm, limits.depth.far_mm) = (near_mm, far_mm);
-            let reconstructor = StillReconstructor::with(&rig(), &sequence, &limits, &processing).unwrap();
+            let mut reconstructor = StillReconstructor::with(&rig(), &sequence, &limits, &processing).unwrap();
             reconstructor.reconstruct(&pictures(&sequence)).unwrap()
         };
         // A period is 80 mm of depth, so that the plane's 60 mm fit into 90 mm one way only, and into 500 mm six ways.
@@ -266,8 +227,8 @@ mod tests {
     fn useless_input_is_named() {
         let sequence = PatternSequence::gray_code([320, 240], &[Direction::Columns]);
         let good = pictures(&sequence);
-        let reconstructor = StillReconstructor::new(&rig(), &sequence, &limits()).unwrap();
-        let error = |change: fn(&mut Vec<GreyPicture>)| {
+        let mut reconstructor = StillReconstructor::new(&rig(), &sequence, &limits()).unwrap();
+        let mut error = |change: fn(&mut Vec<GreyPicture>)| {
             let mut pictures = good.clone();
             change(&mut pictures);
             reconstructor.reconstruct(&pictures).unwrap_err().to_string()

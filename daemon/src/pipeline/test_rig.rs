@@ -1,9 +1,9 @@
-//! A rig that is little work, for tests that run live.
+//! A rig that is little work, for tests that run live, those of `daemon/tests` among them.
 
-use crate::device::RigConfig;
+use gv3::device::RigConfig;
 
 /// The simulated scanner with a camera of 160x120 at 30 scans a second.
-pub(crate) fn small_rig() -> RigConfig {
+pub fn small_rig() -> RigConfig {
     let mut rig = RigConfig::simulated();
     let mut calibration = rig.calibration.unwrap();
     let camera = &mut calibration.camera;

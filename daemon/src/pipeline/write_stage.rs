@@ -178,5 +178,7 @@ fn statistics(encoded: &Encoded, raw_fringe_bytes: u64) -> MetadataGroup {
         .with(key::SCANS, encoded.scans)
         .with(key::KEYFRAMES, encoded.keyframes)
         .with(key::ENCODE_MS_PER_SCAN, format!("{:.3}", per_scan_ms(encoded.time, encoded.scans)))
+        .with(key::RAW_OBJ_BMP_BYTES, encoded.uncoded.obj_bmp_bytes())
+        .with(key::RAW_BINARY_BYTES, encoded.uncoded.binary_bytes)
         .with(key::RAW_FRINGE_BYTES, raw_fringe_bytes)
 }

@@ -7,6 +7,10 @@ use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::Duration;
 
+/// How long a message may wait for a manager that does not read: its socket takes a handful, and a daemon whose manager hangs
+/// goes on.
+const PATIENCE: Duration = Duration::from_millis(100);
+
 /// The way to the service manager; without one, messages go nowhere.
 #[derive(Debug, Default)]
 pub struct Notify {
@@ -30,7 +34,9 @@ impl Notify {
                 [b'@', name @ ..] => SocketAddr::from_abstract_name(name)?,
                 _ => SocketAddr::from_pathname(socket)?,
             };
-            Ok((UnixDatagram::unbound()?, address))
+            let socket = UnixDatagram::unbound()?;
+            socket.set_write_timeout(Some(PATIENCE))?;
+            Ok((socket, address))
         };
         let to = open().inspect_err(|error| tracing::warn!(?socket, %error, "NOTIFY_SOCKET cannot be used")).ok();
         Self { to, watchdog }
@@ -84,6 +90,24 @@ mod tests {
         let mut buffer = [0; 256];
         let n = socket.recv(&mut buffer).unwrap();
         String::from_utf8(buffer[..n].to_vec()).unwrap()
+    }
+
+    #[test]
+    fn a_manager_that_does_not_read_holds_nobody_up() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("notify");
+        let manager = UnixDatagram::bind(&path).unwrap();
+        let crowd = UnixDatagram::unbound().unwrap();
+        crowd.set_nonblocking(true).unwrap();
+        while crowd.send_to(b"STATUS=busy", &path).is_ok() {}
+        let notify = Notify::new(path.as_os_str(), None);
+        notify.stopping();
+        assert_eq!(heard(&manager), "STATUS=busy");
+        notify.alive();
+        manager.set_nonblocking(true).unwrap();
+        let mut buffer = [0; 64];
+        let rest: Vec<usize> = std::iter::from_fn(|| manager.recv(&mut buffer).ok()).collect();
+        assert_eq!(rest.last(), Some(&"WATCHDOG=1".len()));
     }
 
     #[test]

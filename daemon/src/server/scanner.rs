@@ -33,6 +33,7 @@ impl From<LiveError> for Problem {
         let status = match error {
             LiveError::Store(error) => return error.into(),
             LiveError::Text(_) => StatusCode::BAD_REQUEST,
+            LiveError::Config(_) => StatusCode::UNPROCESSABLE_ENTITY,
             LiveError::State(_) | LiveError::Timeout(_) => StatusCode::CONFLICT,
             LiveError::Space { .. } => StatusCode::INSUFFICIENT_STORAGE,
             LiveError::Device(_) | LiveError::Record(_) | LiveError::Disk { .. } => StatusCode::SERVICE_UNAVAILABLE,
@@ -115,8 +116,10 @@ pub async fn reload_now(shared: &Arc<Shared>) -> Result<(), Problem> {
             if !directory.is_ok_and(|d| d == s.directory.path()) {
                 return Err(wrong("sessions.directory is another one; restart the daemon for that".into()));
             }
-            config.check().map_err(|e| wrong(e.to_string()))?;
-            Ok(s.live.reload(config)?)
+            s.live.reload(config).map_err(|error| match error {
+                LiveError::Config(reason) => wrong(reason.to_string()),
+                error => error.into(),
+            })
         })
         .await
 }

@@ -35,6 +35,8 @@ pub struct FileContents {
     pub period_nanos: u64,
     /// Size of the same scans as OBJ and BMP files, bytes, where it is known.
     pub obj_bmp_bytes: Option<u64>,
+    /// Error that the coding was told is worth correcting, mm, where the mode has one.
+    pub tolerance_mm: Option<f64>,
 }
 
 impl FileContents {
@@ -49,6 +51,7 @@ impl FileContents {
         let (stored_scans, obj_bmp_bytes) = (number(key::SCANS), number(key::RAW_OBJ_BMP_BYTES));
         let session = reader.metadata().group(key::SESSION);
         let mode = session.and_then(|s| s.get(key::MODE)).unwrap_or("unknown").to_owned();
+        let tolerance_mm = session.and_then(|s| s.number(key::TOLERANCE_MM)).filter(|mm: &f64| mm.is_finite());
         let created_unix_nanos = session.and_then(|s| s.number(key::CREATED_UNIX_NANOS)).filter(|&nanos| nanos > 0);
         let (period_nanos, outputs): (u64, &[Output]) = match reader.streams().is_empty() {
             true => (0, &[]),
@@ -62,7 +65,7 @@ impl FileContents {
         let keyframes = groups.len() as u64;
         let scans = match stored_scans {
             Some(scans) => scans,
-            None => group_figures(path, &mut reader)?.iter().map(|g| g.ticks.len() as u64).sum(),
+            None => group_figures(path, &mut reader, 0)?.iter().map(|g| g.ticks.len() as u64).sum(),
         };
         Ok(Self {
             is_finished: *reader.state() == SessionState::Clean,
@@ -75,6 +78,7 @@ impl FileContents {
             last_tick: ends.1,
             period_nanos,
             obj_bmp_bytes,
+            tolerance_mm,
         })
     }
 }
@@ -124,7 +128,7 @@ pub struct Curve {
 }
 
 /// What every group of one file holds, and its events.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct FileGroups {
     period_nanos: u64,
     groups: Vec<GroupFigures>,
@@ -137,13 +141,24 @@ impl FileGroups {
     /// # Errors
     /// As [`FileContents::read`].
     pub fn read(path: &Path) -> Result<Self, StoreError> {
-        let mut reader = SessionReader::open(path)?;
-        let period_nanos = match reader.streams().is_empty() {
-            true => 0,
-            false => header(path, &mut reader, 0)?.scan_period_nanos,
-        };
-        let groups = group_figures(path, &mut reader)?;
-        Ok(Self { period_nanos, groups, events: reader.events()? })
+        let mut groups = Self::default();
+        groups.add_from(0, path, &mut SessionReader::open(path)?)?;
+        Ok(groups)
+    }
+
+    /// Adds what a reader has found at `offset` of its file and after it.
+    pub(super) fn add_from(
+        &mut self,
+        offset: u64,
+        path: &Path,
+        reader: &mut SessionReader<File>,
+    ) -> Result<(), StoreError> {
+        if !reader.streams().is_empty() {
+            self.period_nanos = header(path, reader, 0)?.scan_period_nanos;
+        }
+        self.groups.extend(group_figures(path, reader, self.groups.len())?);
+        self.events.extend(reader.events_from(offset)?);
+        Ok(())
     }
 
     /// Scans and events.
@@ -199,13 +214,17 @@ fn header(path: &Path, reader: &mut SessionReader<File>, stream: usize) -> Resul
         .map_err(|e| ReplayError::Content { path: path.into(), reason: format!("stream header {stream}: {e}") })?)
 }
 
-fn group_figures(path: &Path, reader: &mut SessionReader<File>) -> Result<Vec<GroupFigures>, StoreError> {
+/// Of the groups from number `first` on.
+fn group_figures(path: &Path, reader: &mut SessionReader<File>, first: usize) -> Result<Vec<GroupFigures>, StoreError> {
     let streams = reader.streams().to_vec();
-    let mut figures = Vec::with_capacity(reader.groups().len());
+    let mut figures = Vec::with_capacity(reader.groups().len() - first);
     for (at, stream) in streams.iter().enumerate() {
-        let header = header(path, reader, at)?;
         let end = streams.get(at + 1).map_or(reader.groups().len(), |next| next.first_group);
-        for group in stream.first_group..end {
+        if end <= first {
+            continue;
+        }
+        let header = header(path, reader, at)?;
+        for group in stream.first_group.max(first)..end {
             let stored = reader.read_group(group)?;
             let stamps = decode_stamps(&header, &stored.geometry).map_err(|source| ReplayError::Payload {
                 path: path.into(),

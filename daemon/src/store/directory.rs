@@ -2,6 +2,7 @@
 
 use super::contents::{Curve, FileContents, FileGroups, SessionDetail};
 use super::file_cache::FileCache;
+use super::growing_file::GrowingFile;
 use super::{SessionName, StoreError, rfc3339};
 use crate::measure::Output;
 use rustix::fs::{CWD, FlockOperation, RenameFlags};
@@ -10,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 
 /// File whose lock says that the directory is in use.
@@ -50,6 +51,8 @@ pub struct SessionSummary {
     pub keyframes: u64,
     /// Size of the same scans as OBJ and BMP files over `bytes`, where it is known.
     pub ratio: Option<f64>,
+    /// Error that its coding was told is worth correcting, mm, where the mode has one.
+    pub tolerance_mm: Option<f64>,
     /// When it was begun (RFC 3339, UTC).
     pub created: Option<String>,
     /// How it stands.
@@ -83,6 +86,8 @@ pub struct SessionDirectory {
     /// Why a file cannot be read is kept too.
     contents: FileCache<Result<Arc<FileContents>, String>>,
     groups: FileCache<Arc<FileGroups>>,
+    /// The unfinished file that was asked for last: one is recorded at a time.
+    growing: Mutex<Option<GrowingFile>>,
     lock: File,
 }
 
@@ -116,7 +121,8 @@ impl SessionDirectory {
         });
         written.map_err(StoreError::io(&lock_path, "write"))?;
         remove_parts(&path);
-        Ok(Self { path, contents: FileCache::new(MOST_CONTENTS), groups: FileCache::new(MOST_ENTRIES), lock })
+        let (contents, groups) = (FileCache::new(MOST_CONTENTS), FileCache::new(MOST_ENTRIES));
+        Ok(Self { path, contents, groups, growing: Mutex::new(None), lock })
     }
 
     /// The directory.
@@ -286,8 +292,24 @@ impl SessionDirectory {
         if let Some(groups) = self.groups.get(segment) {
             return Ok(groups);
         }
-        let groups = Arc::new(FileGroups::read(&segment.path)?);
+        let groups = self.read_groups(&segment.path)?;
         self.groups.put(segment, Arc::clone(&groups), groups.entries());
+        Ok(groups)
+    }
+
+    fn read_groups(&self, path: &Path) -> Result<Arc<FileGroups>, StoreError> {
+        let mut growing = self.growing.lock().unwrap_or_else(PoisonError::into_inner);
+        if growing.as_ref().is_some_and(|file| file.is(path))
+            && let Some(mut file) = growing.take()
+        {
+            file.read_on()?;
+            return Ok(growing.insert(file).groups());
+        }
+        let file = GrowingFile::open(path)?;
+        let groups = file.groups();
+        if file.is(path) {
+            *growing = Some(file);
+        }
         Ok(groups)
     }
 
@@ -309,6 +331,7 @@ impl SessionDirectory {
             scans: 0,
             keyframes: 0,
             ratio: None,
+            tolerance_mm: None,
             created: None,
             state: State::Complete,
             mode: if segments.is_empty() { "raw".into() } else { String::new() },
@@ -343,6 +366,7 @@ impl SessionDirectory {
             summary.keyframes += c.keyframes;
             summary.mode.clone_from(&c.mode);
             summary.outputs = c.outputs.to_vec();
+            summary.tolerance_mm = c.tolerance_mm;
             summary.created = summary.created.take().or_else(|| c.created_unix_nanos.map(rfc3339));
             obj_bmp_bytes = obj_bmp_bytes.zip(c.obj_bmp_bytes).map(|(a, b)| a + b);
             if c.keyframes > 0 {

@@ -6,6 +6,7 @@
 mod contents;
 mod directory;
 mod file_cache;
+mod growing_file;
 mod name;
 mod player;
 mod repair;

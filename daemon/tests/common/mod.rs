@@ -3,6 +3,8 @@
 
 #[path = "../../../tests/src/moving_face.rs"]
 pub mod moving_face;
+#[path = "../../src/pipeline/test_rig.rs"]
+pub mod test_rig;
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};

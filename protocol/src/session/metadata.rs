@@ -29,6 +29,8 @@ pub mod key {
     pub const CREATED_UNIX_NANOS: &str = "created_unix_nanos";
     /// In [`SESSION`]: coding mode.
     pub const MODE: &str = "mode";
+    /// In [`SESSION`]: error that the coding was told is worth correcting, millimetres; not of every mode.
+    pub const TOLERANCE_MM: &str = "tolerance_mm";
     /// In [`SESSION`]: program and version that wrote the file.
     pub const PRODUCER: &str = "producer";
     /// In [`CALIBRATION`] and [`CONFIGURATION`]: a TOML document.
@@ -155,6 +157,13 @@ impl SessionMetadata {
             .with(key::MODE, mode)
             .with(key::PRODUCER, producer);
         SessionMetadata { groups: BTreeMap::from([(key::SESSION.to_owned(), session)]) }
+    }
+
+    /// Adds the error that the coding was told is worth correcting, millimetres.
+    #[must_use]
+    pub fn with_tolerance_mm(mut self, tolerance_mm: f64) -> Self {
+        self.groups.entry(key::SESSION.to_owned()).or_default().set(key::TOLERANCE_MM, tolerance_mm);
+        self
     }
 
     /// Adds the rig's calibration, a TOML document.

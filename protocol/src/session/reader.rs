@@ -137,10 +137,25 @@ impl<R: Read + Seek> SessionReader<R> {
             Ok(summary) => {
                 (SessionState::Clean, Index::from_summary(&mut source, &summary).map_err(|fault| fault.in_file(&name))?)
             }
-            Err(Fault::Damaged { reason, .. }) => Index::scan(&mut source, start, reason, &name)?,
+            Err(Fault::Damaged { reason, .. }) => {
+                let mut index = Index::default();
+                (index.scan(&mut source, start, reason, &name)?, index)
+            }
             Err(fault) => return Err(fault.in_file(&name)),
         };
         Ok(SessionReader { source, name, state, index })
+    }
+
+    /// Reads on where an unfinished session ended when it was looked at last: what its writer has added since is then there as
+    /// if it had been when the session was opened. Nothing before that is read again; a finished session is not read at all.
+    ///
+    /// # Errors
+    /// [`SessionError::Io`]; damage ends the session as it does for [`open`](SessionReader::open).
+    pub fn read_on(&mut self) -> Result<()> {
+        let SessionState::Unfinished { valid_bytes, .. } = self.state else { return Ok(()) };
+        self.source.measure().map_err(|error| Fault::Io(error).in_file(&self.name))?;
+        self.state = self.index.scan(&mut self.source, valid_bytes, "it is being written".to_owned(), &self.name)?;
+        Ok(())
     }
 
     /// How the session ends.
@@ -229,7 +244,15 @@ impl<R: Read + Seek> SessionReader<R> {
     /// # Errors
     /// [`SessionError::Damaged`] if a chunk's checksum is wrong or a message is not an event.
     pub fn events(&mut self) -> Result<Vec<Event>> {
-        self.json(EVENT.id)
+        self.events_from(0)
+    }
+
+    /// Events of the chunks that lie at `offset` of the file or after it, as [`events`](Self::events) gives them.
+    ///
+    /// # Errors
+    /// As [`events`](Self::events).
+    pub fn events_from(&mut self, offset: u64) -> Result<Vec<Event>> {
+        self.json(EVENT.id, offset)
     }
 
     /// All telemetry in the order of the file.
@@ -237,12 +260,12 @@ impl<R: Read + Seek> SessionReader<R> {
     /// # Errors
     /// As [`events`](Self::events).
     pub fn telemetry(&mut self) -> Result<Vec<Telemetry>> {
-        self.json(TELEMETRY.id)
+        self.json(TELEMETRY.id, 0)
     }
 
-    fn json<T: for<'a> Deserialize<'a>>(&mut self, channel: u16) -> Result<Vec<T>> {
+    fn json<T: for<'a> Deserialize<'a>>(&mut self, channel: u16, from: u64) -> Result<Vec<T>> {
         let mut all = Vec::new();
-        for at in 0..self.index.json.len() {
+        for at in self.index.json.partition_point(|&chunk| chunk < from)..self.index.json.len() {
             let offset = self.index.json[at];
             all.extend(self.with_chunk(offset, |_, content| parse_json(content, channel))?);
         }
@@ -302,17 +325,17 @@ impl Index {
         Ok(index)
     }
 
-    /// Index of an unfinished session: everything before the first damage or the end.
+    /// Adds what an unfinished session holds from `start` on: everything before the first damage or the end.
     fn scan<R: Read + Seek>(
+        &mut self,
         source: &mut Source<R>,
         start: u64,
         missing: String,
         name: &Path,
-    ) -> Result<(SessionState, Self)> {
-        let mut index = Index::default();
+    ) -> Result<SessionState> {
         let mut scanner = Scanner::new(source, start);
         let stop = loop {
-            match scanner.next().and_then(|item| index.add_item(item)) {
+            match scanner.next().and_then(|item| self.add_item(item)) {
                 Ok(None) => {}
                 Ok(Some(stop)) => break stop,
                 Err(fault) => return Err(fault.in_file(name)),
@@ -320,12 +343,12 @@ impl Index {
         };
         let Stop { valid_bytes, reason } = stop;
         let reason = reason.unwrap_or(missing);
-        if index.metadata.group(key::SESSION).is_none() {
+        if self.metadata.group(key::SESSION).is_none() {
             let reason = format!("the opening metadata is not intact ({reason})");
             return Err(SessionError::Damaged { path: name.to_path_buf(), offset: valid_bytes, reason });
         }
-        let complete_groups = index.groups.len();
-        Ok((SessionState::Unfinished { complete_groups, valid_bytes, reason }, index))
+        let complete_groups = self.groups.len();
+        Ok(SessionState::Unfinished { complete_groups, valid_bytes, reason })
     }
 
     /// Adds what the scanner met, or says why the scan stops here.

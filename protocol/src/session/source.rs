@@ -39,7 +39,7 @@ impl Span {
     }
 }
 
-/// A seekable source and its length when it was opened.
+/// A seekable source and its length when it was measured last.
 pub(crate) struct Source<R> {
     inner: R,
     /// Where `inner` stands; a seek to the place already reached costs no system call.
@@ -55,6 +55,14 @@ impl<R: Read + Seek> Source<R> {
 
     pub fn length(&self) -> u64 {
         self.length
+    }
+
+    /// Takes the length as it is now.
+    pub fn measure(&mut self) -> std::io::Result<()> {
+        self.position = u64::MAX;
+        self.length = self.inner.seek(SeekFrom::End(0))?;
+        self.position = self.length;
+        Ok(())
     }
 
     /// Fills `buffer` from `offset`; bytes past the end are damage, not end of file.

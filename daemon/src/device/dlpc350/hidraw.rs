@@ -1,6 +1,7 @@
 //! The kernel's HID driver: `/dev/hidraw*`, found through sysfs.
 
 use super::link::{HidLink, HidOpener, LinkError, Wanted};
+use crate::device::in_use;
 use gv3_protocol::dlpc350::{PRODUCT_ID, REPORT_BYTES, Report, VENDOR_ID};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
@@ -87,10 +88,10 @@ pub struct HidrawLink {
 }
 
 impl HidrawLink {
-    /// Opens a node.
+    /// Opens a node, for this process alone.
     ///
     /// # Errors
-    /// [`LinkError::Failed`] with what to do.
+    /// [`LinkError::Failed`] with what to do; another program that has it is named as that.
     pub fn open(path: &Path) -> Result<Self, LinkError> {
         let flags = rustix::fs::OFlags::NONBLOCK.bits();
         let file = OpenOptions::new().read(true).write(true).custom_flags(flags.cast_signed()).open(path);
@@ -102,6 +103,8 @@ impl HidrawLink {
             };
             LinkError::Failed(format!("{}: {error}{hint}", path.display()))
         })?;
+        in_use::lock(&file)
+            .map_err(|error| LinkError::Failed(format!("{}: {}", path.display(), in_use::told(&error))))?;
         Ok(Self { file })
     }
 
@@ -203,5 +206,17 @@ mod tests {
     fn a_node_that_cannot_be_opened_is_named() {
         let error = HidrawLink::open(Path::new("/dev/hidraw-none")).err().unwrap().to_string();
         assert!(error.starts_with("/dev/hidraw-none: "), "{error}");
+    }
+
+    #[test]
+    fn a_projector_is_not_shared_with_another_program() {
+        let folder = tempfile::tempdir().unwrap();
+        let node = folder.path().join("hidraw7");
+        fs::write(&node, "").unwrap();
+        let first = HidrawLink::open(&node).unwrap();
+        let error = HidrawLink::open(&node).err().unwrap().to_string();
+        assert!(error.contains("hidraw7: in use by another program"), "{error}");
+        drop(first);
+        HidrawLink::open(&node).unwrap();
     }
 }

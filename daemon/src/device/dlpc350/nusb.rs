@@ -1,6 +1,7 @@
 //! HID reports by nusb, past the kernel's HID driver, which gets the interface back afterwards.
 
 use super::link::{HidLink, HidOpener, LinkError, Wanted};
+use crate::device::in_use::IN_USE;
 use gv3_protocol::dlpc350::{PRODUCT_ID, REPORT_BYTES, Report, VENDOR_ID};
 use nusb::descriptors::TransferType;
 use nusb::transfer::{Buffer, Completion, Direction, In, Interrupt, Out, TransferError};
@@ -26,7 +27,7 @@ impl HidOpener for NusbOpener {
         let found: Vec<_> = devices.filter(is_ours).map(|d| (bus_path(&d), d)).collect();
         let place = |one: &(String, DeviceInfo)| [one.0.clone(), one.1.serial_number().unwrap_or_default().into()];
         let (_, info) = self.0.choose(found, place)?;
-        Ok(Box::new(NusbLink::open(&info).map_err(opening)?))
+        Ok(Box::new(NusbLink::open(&info).map_err(|e| opening(e.kind(), &e.to_string()))?))
     }
 }
 
@@ -35,14 +36,14 @@ fn bus_path(info: &DeviceInfo) -> String {
     format!("{}-{}", info.bus_id().trim_start_matches('0'), ports.join("."))
 }
 
-fn opening(error: nusb::Error) -> LinkError {
-    match error.kind() {
+fn opening(kind: ErrorKind, error: &str) -> LinkError {
+    match kind {
         ErrorKind::Disconnected => LinkError::Disconnected,
         ErrorKind::PermissionDenied => LinkError::Failed(format!(
             "{error}; give your user access with `sudo gv3 install-udev`, then plug it in again"
         )),
-        ErrorKind::Busy => LinkError::Failed(format!("{error}; it is in use by another program")),
-        _ => LinkError::Failed(error.to_string()),
+        ErrorKind::Busy => LinkError::Failed(IN_USE.into()),
+        _ => LinkError::Failed(error.into()),
     }
 }
 
@@ -93,5 +94,16 @@ impl HidLink for NusbLink {
         let bytes = finish(completion, timeout)?;
         let found = bytes.len();
         bytes.try_into().map_err(|_| LinkError::Failed(format!("report of {found} bytes, expected {REPORT_BYTES}")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_projector_that_another_program_has_is_said_to_be_in_use() {
+        assert_eq!(opening(ErrorKind::Busy, "claiming failed").to_string(), IN_USE);
+        assert_eq!(opening(ErrorKind::Other, "claiming failed").to_string(), "claiming failed");
     }
 }

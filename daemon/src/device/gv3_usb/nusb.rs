@@ -1,6 +1,7 @@
 //! Transfers by nusb.
 
 use super::transport::{UsbEndpoint, UsbError, UsbPipes, UsbPlace, UsbSelector, UsbTransport};
+use crate::device::in_use::IN_USE;
 use crate::device::plugged::{PluggedProjector, missing_rights};
 use gv3_protocol::gv3::{PRODUCT_ID, VENDOR_ID};
 use nusb::transfer::{
@@ -34,12 +35,7 @@ impl NusbTransport {
         let is_ours = |d: &DeviceInfo| (d.vendor_id(), d.product_id()) == (VENDOR_ID, PRODUCT_ID);
         let with_place = |d: DeviceInfo| (place(&d), d);
         let (place, info) = selector.pick(devices.filter(is_ours).map(with_place).collect())?;
-        let opening = |e: nusb::Error| match e.kind() {
-            ErrorKind::PermissionDenied => UsbError::no_rights(&place),
-            ErrorKind::Disconnected => UsbError::Disconnected,
-            ErrorKind::Busy => UsbError::Failed(format!("{place}: in use by another program")),
-            _ => UsbError::Failed(format!("{place}: {e}")),
-        };
+        let opening = |e: nusb::Error| opening(&place, e.kind(), &e.to_string());
         let device = info.open().wait().map_err(opening)?;
         let pipes =
             pipes(&device).ok_or_else(|| UsbError::Failed(format!("{place}: no interface of a gv3 projector")))?;
@@ -75,6 +71,16 @@ pub(in crate::device) fn plugged() -> Result<Vec<PluggedProjector>, UsbError> {
         .collect();
     found.sort_by(|a, b| a.bus_path.cmp(&b.bus_path));
     Ok(found)
+}
+
+/// The kernel lets one program claim an interface.
+fn opening(place: &UsbPlace, kind: ErrorKind, error: &str) -> UsbError {
+    match kind {
+        ErrorKind::PermissionDenied => UsbError::no_rights(place),
+        ErrorKind::Disconnected => UsbError::Disconnected,
+        ErrorKind::Busy => UsbError::Failed(format!("{place}: {IN_USE}")),
+        _ => UsbError::Failed(format!("{place}: {error}")),
+    }
 }
 
 fn place(info: &DeviceInfo) -> UsbPlace {
@@ -184,5 +190,18 @@ impl UsbTransport for NusbTransport {
         // A transfer that does not complete now stays pending and brings its event to the next call.
         let completion = event.wait_next_complete(timeout).ok_or(UsbError::Timeout)?;
         finish(&mut event, completion)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_projector_that_another_program_has_is_said_to_be_in_use() {
+        let place = UsbPlace::new("3", &[1, 2], None);
+        let error = opening(&place, ErrorKind::Busy, "claiming failed").to_string();
+        assert_eq!(error, format!("{place}: {IN_USE}"));
+        assert_eq!(opening(&place, ErrorKind::Disconnected, "").to_string(), UsbError::Disconnected.to_string());
     }
 }

@@ -1,6 +1,7 @@
 //! Transfers by libusb, through rusb.
 
 use super::transport::{UsbEndpoint, UsbError, UsbPipes, UsbPlace, UsbSelector, UsbTransport};
+use crate::device::in_use::IN_USE;
 use gv3_protocol::gv3::{PRODUCT_ID, VENDOR_ID};
 use rusb::{
     Context, Device, DeviceDescriptor, DeviceHandle, Direction, Recipient, RequestType, TransferType, UsbContext,
@@ -35,7 +36,7 @@ impl RusbTransport {
         let opening = |e: rusb::Error| match e {
             rusb::Error::Access => UsbError::no_rights(&place),
             rusb::Error::NoDevice => UsbError::Disconnected,
-            rusb::Error::Busy => UsbError::Failed(format!("{place}: in use by another program")),
+            rusb::Error::Busy => UsbError::Failed(format!("{place}: {IN_USE}")),
             _ => UsbError::Failed(format!("{place}: {e}")),
         };
         let handle = handle.map_err(opening)?;

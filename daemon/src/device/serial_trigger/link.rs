@@ -1,6 +1,7 @@
 //! The thread that owns the port.
 
 use super::TriggerConfig;
+use crate::device::in_use::IN_USE;
 use crate::device::{DeviceError, TriggerEvent};
 use gv3_protocol::trigger::{Answer, Command, Event, LineReader, Message, PROTOCOL_VERSION, Request, State};
 use serialport::{SerialPort, SerialPortType};
@@ -99,7 +100,11 @@ impl Link {
     fn connect(&mut self) -> Result<Port, String> {
         let path = self.path()?;
         let port = serialport::new(&path, self.config.baud).timeout(LISTEN).open();
-        let mut port = port.map_err(|e| format!("{path}: {e}"))?;
+        // The port is locked against other programs; a refusal shows as this kind, a port that is gone as another.
+        let mut port = port.map_err(|e| match e.kind {
+            serialport::ErrorKind::NoDevice => format!("{path}: {IN_USE}"),
+            _ => format!("{path}: {e}"),
+        })?;
         self.reader.clear();
         // Ends a line that was cut off.
         port.write_all(b"\n").map_err(|e| format!("{path}: {e}"))?;

@@ -2,6 +2,7 @@
 //! keep its rules.
 #![allow(unsafe_code)]
 
+use crate::device::in_use;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::ffi::c_void;
 use std::io::{self, ErrorKind};
@@ -76,6 +77,15 @@ impl Mapping {
         };
         Ok(Self { start, length })
     }
+}
+
+/// Keeps other processes that ask for it from the device for as long as this one has it open.
+///
+/// # Errors
+/// EBUSY when another has it.
+pub(super) fn lock(device: &Device) -> io::Result<()> {
+    // SAFETY: the device is open for the length of the call.
+    in_use::lock(unsafe { BorrowedFd::borrow_raw(device.handle().fd()) })
 }
 
 /// As in Linux's mman.h, on every machine.

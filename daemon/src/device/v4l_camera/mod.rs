@@ -18,6 +18,7 @@ mod kernel;
 mod node;
 mod stamp;
 
+use super::in_use;
 use super::{
     Camera, CameraInfo, CameraSettings, DeviceError, Frame, PatternIndex, RigConfig, TriggerSource, V4lConfig,
 };
@@ -40,6 +41,7 @@ const FLAG_ERROR: u32 = v4l::v4l_sys::V4L2_BUF_FLAG_ERROR;
 const FLAG_STAMP_SOURCE: u32 = v4l::v4l_sys::V4L2_BUF_FLAG_TSTAMP_SRC_MASK;
 const FLAG_START_OF_EXPOSURE: u32 = v4l::v4l_sys::V4L2_BUF_FLAG_TSTAMP_SRC_SOE;
 const ENODEV: i32 = 19;
+const EBUSY: i32 = 16;
 
 /// Streams that end by themselves are begun again so many times in a row.
 const MOST_RESTARTS: u32 = 3;
@@ -176,12 +178,14 @@ impl V4lCamera {
         if error.raw_os_error() == Some(ENODEV) || Device::with_path(&self.node.path).is_err() {
             return self.gone();
         }
-        DeviceError::Failed(format!("the camera \"{}\": {action}: {error}", self.node.name))
+        DeviceError::Failed(format!("the camera \"{}\": {action}: {}", self.node.name, in_use::told(error)))
     }
 
     fn prepare(&mut self, want: &CameraSettings) -> Result<CameraSettings, DeviceError> {
         self.ready = None;
         let device = driver_call(|| Device::with_path(&self.node.path)).map_err(|e| self.failed("opening", &e))?;
+        // Before anything is set that another program relies on.
+        kernel::lock(&device).map_err(|e| self.failed("opening", &e))?;
         let format = agree_format(&device, &self.config, want)?;
         let wanted_nanos = match want.trigger {
             TriggerSource::Projector => self.picture_period_nanos,
@@ -376,8 +380,10 @@ fn agree_format(device: &Device, config: &V4lConfig, want: &CameraSettings) -> R
     // Stride and size 0 leave both to the driver; what comes back is used.
     let wanted = Format::new(want.width_px, want.height_px, fourcc);
     let set = driver_call(|| device.set_format(&wanted));
-    let set =
-        set.map_err(|e| DeviceError::config("camera.v4l.pixel_format", format!("the camera refuses {fourcc}: {e}")))?;
+    let set = set.map_err(|e| match e.raw_os_error() {
+        Some(EBUSY) => DeviceError::Failed(format!("the camera: {}", in_use::told(&e))),
+        _ => DeviceError::config("camera.v4l.pixel_format", format!("the camera refuses {fourcc}: {e}")),
+    })?;
     if set.fourcc != fourcc {
         let offered = driver_call(|| device.enum_formats()).unwrap_or_default();
         let offered: Vec<String> = offered.iter().map(|format| format.fourcc.to_string()).collect();

@@ -1,7 +1,7 @@
 //! A server on a port of its own, and plain clients.
 
 use crate::files::SessionsConfig;
-use crate::live::{Live, LiveConfig};
+use crate::live::{Ground, Live, LiveConfig};
 use crate::pipeline::test_rig::small_rig;
 use crate::server::{Notify, Server, ServerConfig, ServerError, Token};
 use crate::store::SessionDirectory;
@@ -61,9 +61,13 @@ impl Running {
     }
 
     pub async fn start_with(folder: TempDir, token: Option<&str>, notify: Notify) -> Self {
+        Self::start_on(Ground::default(), folder, token, notify).await
+    }
+
+    pub async fn start_on(ground: Ground, folder: TempDir, token: Option<&str>, notify: Notify) -> Self {
         let path = folder.path().to_path_buf();
         let directory = SessionDirectory::open(&path).unwrap();
-        let live = Live::open(config(&path)).unwrap();
+        let live = Live::open_on(config(&path), ground).unwrap();
         let listen = "127.0.0.1:0".parse().unwrap();
         let server_config = ServerConfig { listen, token: token.and_then(Token::new), hosts: Vec::new() };
         let read_config = Arc::new(move || Ok(config(&path)));

@@ -1,10 +1,13 @@
 //! Live streams and replay, and what idle and slow clients do to a recording: nothing.
 
-use super::harness::{PATIENCE, Running};
+use super::harness::{self, PATIENCE, Running};
+use crate::live::gate::Gate;
+use crate::server::Notify;
 use crate::server::mesh_message::{HEADER_BYTES, MESH_MAGIC};
 use futures_util::{SinkExt, StreamExt};
 use gv3_codec::StreamHeader;
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio_tungstenite::WebSocketStream;
@@ -116,23 +119,35 @@ async fn replay_shows_any_moment_forwards_and_backwards_and_waits_for_acks() {
     server.stop().await.1.unwrap();
 }
 
-/// Records while `idle` clients look on and `slow` ones never read: their sockets fill, and the newest replaces what they
-/// miss. Gives the drops of queues meanwhile.
+/// Clients that look on and take nothing from a recording: `idle` ones, half of which never ask for anything, and `slow` ones
+/// that never read: their sockets fill, and the newest replaces what they miss.
+struct Crowd {
+    _slow: Vec<Socket>,
+    _silent: Vec<TcpStream>,
+}
+
+impl Crowd {
+    async fn come(server: &Running, idle: usize, slow: usize) -> Self {
+        let paths = ["/live/mesh?fps=60&max_vertices=20000", "/live/picture?fps=60", "/live/groups", "/live/events"];
+        let (mut kept, mut silent) = (Vec::new(), Vec::new());
+        for i in 0..slow {
+            kept.push(server.socket(paths[i % paths.len()]).await);
+        }
+        for _ in 0..idle / 2 {
+            let mut reader = server.socket("/live/events").await;
+            tokio::spawn(async move { while reader.next().await.is_some_and(|m| m.is_ok()) {} });
+        }
+        for _ in 0..idle - idle / 2 {
+            silent.push(TcpStream::connect(server.address).await.unwrap());
+        }
+        Self { _slow: kept, _silent: silent }
+    }
+}
+
+/// Records in real time among clients; gives the drops of queues meanwhile.
 async fn record_among(idle: usize, slow: usize, scans: u64) -> u64 {
     let server = Running::start().await;
-    let paths = ["/live/mesh?fps=60&max_vertices=20000", "/live/picture?fps=60", "/live/groups", "/live/events"];
-    let mut kept = Vec::new();
-    for i in 0..slow {
-        kept.push(server.socket(paths[i % paths.len()]).await);
-    }
-    for _ in 0..idle / 2 {
-        let mut reader = server.socket("/live/events").await;
-        tokio::spawn(async move { while reader.next().await.is_some_and(|m| m.is_ok()) {} });
-    }
-    let mut silent = Vec::new();
-    for _ in 0..idle - idle / 2 {
-        silent.push(TcpStream::connect(server.address).await.unwrap());
-    }
+    let _crowd = Crowd::come(&server, idle, slow).await;
     let stopped = server.record("kept", scans).await;
     assert_eq!(stopped["verified"], true);
     assert!(stopped["scans"].as_u64().unwrap() >= scans);
@@ -148,9 +163,33 @@ async fn slow_and_idle_clients_do_not_stop_a_recording() {
     record_among(40, 12, 45).await;
 }
 
-/// `cargo test -p gv3 --lib -- --ignored clients`, on a machine that has nothing else to do.
+/// Pictures come as fast as scans are made of them: whatever the clients cost but processor time would be missing.
 #[tokio::test(flavor = "multi_thread")]
-#[ignore = "needs a quiet machine for half a minute"]
 async fn two_hundred_idle_and_fifty_slow_clients_cost_no_scan() {
+    const SCANS: u64 = 150;
+    let folder = tempfile::tempdir().unwrap();
+    let (mut gate, ground) = Gate::new(&harness::config(folder.path()).rig);
+    let server = Running::start_on(ground, folder, None, Notify::default()).await;
+    let _crowd = Crowd::come(&server, 200, 50).await;
+    let started = server.post("/api/v1/recording/start", "{\"name\":\"kept\"}").await;
+    assert_eq!(started.status, 201, "{}", String::from_utf8_lossy(&started.body));
+    let live = server.live.clone();
+    let passed = tokio::task::spawn_blocking(move || {
+        gate.pass(&live, SCANS);
+        gate
+    });
+    let gate = passed.await.unwrap();
+    let stopped = server.post("/api/v1/recording/stop", "").await.json();
+    assert_eq!((&stopped["verified"], &stopped["scans"]), (&true.into(), &SCANS.into()), "{stopped}");
+    assert_eq!(server.live.metrics().drops, BTreeMap::new());
+    assert_eq!(server.get("/healthz").await.status, 200);
+    drop(gate);
+    server.stop().await.1.unwrap();
+}
+
+/// `cargo test -p gv3 --lib -- --ignored real_time`.
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs a machine that has nothing else to do for half a minute"]
+async fn two_hundred_idle_and_fifty_slow_clients_cost_no_scan_in_real_time() {
     assert_eq!(record_among(200, 50, 600).await, 0);
 }
