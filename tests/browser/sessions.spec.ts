@@ -82,6 +82,10 @@ test("exports the tracked mesh as one animation", async ({
   await page
     .getByRole("button", { name: `Export… ${FIRST}`, exact: true })
     .click();
+  const excess = await page
+    .getByRole("dialog")
+    .evaluate((dialog) => dialog.scrollWidth - dialog.clientWidth);
+  expect(excess, "nothing is cut off").toBeLessThanOrEqual(0);
   await page.getByLabel("Surface").selectOption("mesh");
   await page.getByLabel("Files").selectOption("gltf");
   await page.getByRole("button", { name: "Export", exact: true }).click();

@@ -95,7 +95,11 @@ impl Decode {
         bar.finish_and_clear();
         let report = DecodeReport { scans, files: writer.files(), bytes: writer.bytes() };
         Outcome::of(self.json, &report, || {
-            let clips = if report.files == scans { String::new() } else { format!(" in {} files", report.files) };
+            let clips = match report.files {
+                files if files == scans => String::new(),
+                1 => " in one file".into(),
+                files => format!(" in {files} files"),
+            };
             format!("{}: {scans} scans{clips}, {}", self.out.display(), human_bytes(report.bytes))
         })
     }
