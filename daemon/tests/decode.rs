@@ -78,7 +78,9 @@ fn the_tracked_mesh_of_a_shot_is_one_gltf_file_that_moves_and_a_scan_is_a_still(
     assert_eq!(report["files"], 3);
     let still = gltf::Gltf::from_slice_without_validation(&place.read("stills/frame_0002.glb")).unwrap();
     assert_eq!((still.animations().count(), still.images().count()), (0, 1));
-    place.gv3("decode face.gv3 -o many --as mesh --format gltf --fps 1000").failed(&["the most that an animation holds"]);
+    place
+        .gv3("decode face.gv3 -o many --as mesh --format gltf --fps 1000")
+        .failed(&["the most that an animation holds"]);
     assert!(!place.path("many/frame_0000.glb").exists());
 }
 
