@@ -24,10 +24,7 @@ function freePort(): Promise<number> {
   });
 }
 
-async function until(
-  what: string,
-  ready: () => Promise<boolean>,
-): Promise<void> {
+async function until(what: string, ready: () => Promise<boolean>): Promise<void> {
   for (let k = 0; k < 300; k += 1) {
     if (await ready().catch(() => false)) return;
     await new Promise((resolve) => setTimeout(resolve, 100));
@@ -47,25 +44,11 @@ export class RealDaemon implements Daemon {
   ) {}
 
   async start(): Promise<this> {
-    const listen = this.url
-      ? new URL(this.url).host
-      : `127.0.0.1:${await freePort()}`;
-    const args = [
-      "serve",
-      ...this.more,
-      "--sessions",
-      this.folder,
-      "--listen",
-      listen,
-    ];
-    this.child = spawn(process.env["GV3_BIN"] ?? "gv3", args, {
-      stdio: ["ignore", "inherit", "inherit"],
-    });
+    const listen = this.url ? new URL(this.url).host : `127.0.0.1:${await freePort()}`;
+    const args = ["serve", ...this.more, "--sessions", this.folder, "--listen", listen];
+    this.child = spawn(process.env["GV3_BIN"] ?? "gv3", args, { stdio: ["ignore", "inherit", "inherit"] });
     this.url = `http://${listen}/`;
-    await until(
-      `gv3 ${args.join(" ")}`,
-      async () => (await fetch(`${this.url}healthz`)).ok,
-    );
+    await until(`gv3 ${args.join(" ")}`, async () => (await fetch(`${this.url}healthz`)).ok);
     return this;
   }
 
@@ -92,39 +75,25 @@ export class RealDaemon implements Daemon {
 /** The mock daemon, and its switches. */
 export class MockDaemon implements Daemon {
   url = "";
-  private mock: {
-    url: string;
-    port: number;
-    close: () => Promise<void>;
-  } | null = null;
+  private mock: { url: string; port: number; close: () => Promise<void> } | null = null;
 
   constructor(private readonly token: string | null = null) {}
 
   async start(): Promise<this> {
-    const module = pathToFileURL(
-      join(__dirname, "../../daemon/web/mock/server.mjs"),
-    ).href;
+    const module = pathToFileURL(join(__dirname, "../../daemon/web/mock/server.mjs")).href;
     // A plain `import` would be turned into `require`, which cannot load it.
-    const load = new Function("path", "return import(path)") as (
-      path: string,
-    ) => Promise<{
+    const load = new Function("path", "return import(path)") as (path: string) => Promise<{
       startMock: (options: object) => Promise<NonNullable<MockDaemon["mock"]>>;
     }>;
     const { startMock } = await load(module);
-    this.mock = await startMock({
-      port: this.url ? Number(new URL(this.url).port) : 0,
-      token: this.token,
-    });
+    this.mock = await startMock({ port: this.url ? Number(new URL(this.url).port) : 0, token: this.token });
     this.url = this.mock.url;
     return this;
   }
 
   /** Pulls or plugs the camera, fills or empties the disk. */
   async set(switches: { unplug?: boolean; full?: boolean }): Promise<void> {
-    await fetch(`${this.url}mock`, {
-      method: "POST",
-      body: JSON.stringify(switches),
-    });
+    await fetch(`${this.url}mock`, { method: "POST", body: JSON.stringify(switches) });
   }
 
   async end(): Promise<void> {

@@ -12,14 +12,10 @@ export const SECOND = "smile-coarse";
 /** A short session of the simulated scanner, and its scans coded once more with a coarser tolerance; made once. */
 function recorded(): Record<string, string> {
   const folder = join(tmpdir(), `gv3-browser-demo-${process.pid}`);
-  const made = {
-    [FIRST]: join(folder, "demo.gv3"),
-    [SECOND]: join(folder, "coarse.gv3"),
-  };
+  const made = { [FIRST]: join(folder, "demo.gv3"), [SECOND]: join(folder, "coarse.gv3") };
   if (existsSync(folder)) return made;
   process.on("exit", () => rmSync(folder, { recursive: true, force: true }));
-  const gv3 = (...args: string[]) =>
-    execFileSync(process.env["GV3_BIN"] ?? "gv3", args, { stdio: "pipe" });
+  const gv3 = (...args: string[]) => execFileSync(process.env["GV3_BIN"] ?? "gv3", args, { stdio: "pipe" });
   const scans = join(folder, "scans");
   gv3("demo", "--seconds", "1", "--out", folder);
   gv3("decode", made[FIRST]!, "--format", "ply", "--out", scans);
@@ -31,10 +27,7 @@ function recorded(): Record<string, string> {
 export const test = base.extend<{ faults: string[] }, { daemon: Daemon }>({
   daemon: [
     async ({}, use, info) => {
-      const daemon: Daemon =
-        info.project.name === "mock"
-          ? await new MockDaemon().start()
-          : await realWithSessions();
+      const daemon: Daemon = info.project.name === "mock" ? await new MockDaemon().start() : await realWithSessions();
       await use(daemon);
       await daemon.stop();
     },
@@ -47,11 +40,7 @@ export const test = base.extend<{ faults: string[] }, { daemon: Daemon }>({
       page.on("console", (message) => {
         const text = message.text();
         // What the network refuses is told in the page, and tested there.
-        if (
-          message.type() === "error" &&
-          !/Failed to load resource|WebSocket connection/.test(text)
-        )
-          faults.push(text);
+        if (message.type() === "error" && !/Failed to load resource|WebSocket connection/.test(text)) faults.push(text);
       });
       await use(faults);
       expect(faults).toEqual([]);
@@ -62,29 +51,21 @@ export const test = base.extend<{ faults: string[] }, { daemon: Daemon }>({
 
 async function realWithSessions(): Promise<RealDaemon> {
   const daemon = new RealDaemon();
-  for (const [name, path] of Object.entries(recorded()))
-    cpSync(path, join(daemon.folder, `${name}.gv3`));
+  for (const [name, path] of Object.entries(recorded())) cpSync(path, join(daemon.folder, `${name}.gv3`));
   return daemon.start();
 }
 
 export { expect };
 
 /** Opens a view. */
-export async function open(
-  page: Page,
-  daemon: Daemon,
-  hash: string,
-): Promise<void> {
+export async function open(page: Page, daemon: Daemon, hash: string): Promise<void> {
   await page.goto("about:blank");
   await page.goto(`${daemon.url}${hash}`);
   await expect(page.locator("main")).toBeVisible();
 }
 
 /** Share of a canvas's pixels that differ from its corner: whether something is drawn there. */
-export async function drawnShare(
-  page: Page,
-  selector: string,
-): Promise<number> {
+export async function drawnShare(page: Page, selector: string): Promise<number> {
   const png = await page.locator(selector).first().screenshot();
   return page.evaluate(async (base64) => {
     const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
@@ -97,10 +78,7 @@ export async function drawnShare(
     const corner = 4 * (20 * canvas.width + 20);
     let different = 0;
     for (let k = 0; k < data.length; k += 4) {
-      const distance = [0, 1, 2].reduce(
-        (sum, c) => sum + Math.abs(data[k + c]! - data[corner + c]!),
-        0,
-      );
+      const distance = [0, 1, 2].reduce((sum, c) => sum + Math.abs(data[k + c]! - data[corner + c]!), 0);
       if (distance > 24) different += 1;
     }
     return different / (data.length / 4);
@@ -109,8 +87,6 @@ export async function drawnShare(
 
 /** Seconds that the timeline shows. */
 export async function shownSeconds(page: Page): Promise<number> {
-  const [minutes, seconds] = (
-    await page.locator(".timeline-now").innerText()
-  ).split(":");
+  const [minutes, seconds] = (await page.locator(".timeline-now").innerText()).split(":");
   return 60 * Number(minutes) + Number(seconds);
 }

@@ -19,21 +19,12 @@ const WARM_UP_MS = 5000;
 const MINUTES = Number(process.env["GV3_MEASURE_MINUTES"] ?? 1);
 const DIST = join(__dirname, "../../daemon/web/dist");
 
-const median = (values: number[]) =>
-  values.sort((a, b) => a - b)[Math.floor(values.length / 2)]!;
+const median = (values: number[]) => values.sort((a, b) => a - b)[Math.floor(values.length / 2)]!;
 
 test("bundle", () => {
-  const files = readdirSync(DIST, {
-    recursive: true,
-    withFileTypes: true,
-  }).filter((entry) => entry.isFile());
-  const bytes = files.reduce(
-    (sum, f) => sum + gzipSync(readFileSync(join(f.parentPath, f.name))).length,
-    0,
-  );
-  console.log(
-    `bundle, compressed: ${(bytes / 1024).toFixed(0)} KiB (at most ${MOST_BUNDLE_BYTES / 1024})`,
-  );
+  const files = readdirSync(DIST, { recursive: true, withFileTypes: true }).filter((entry) => entry.isFile());
+  const bytes = files.reduce((sum, f) => sum + gzipSync(readFileSync(join(f.parentPath, f.name))).length, 0);
+  console.log(`bundle, compressed: ${(bytes / 1024).toFixed(0)} KiB (at most ${MOST_BUNDLE_BYTES / 1024})`);
   expect(bytes).toBeLessThanOrEqual(MOST_BUNDLE_BYTES);
 });
 
@@ -44,20 +35,13 @@ test("first paint", async ({ browser, daemon }) => {
     const context = await browser.newContext();
     const page = await context.newPage();
     await page.goto(daemon.url);
-    const paint = () =>
-      page.evaluate(
-        () =>
-          performance.getEntriesByName("first-contentful-paint")[0]
-            ?.startTime ?? 0,
-      );
+    const paint = () => page.evaluate(() => performance.getEntriesByName("first-contentful-paint")[0]?.startTime ?? 0);
     await expect.poll(paint).toBeGreaterThan(0);
     paints.push(await paint());
     await context.close();
   }
   const paint = median(paints);
-  console.log(
-    `first paint: ${paint.toFixed(0)} ms, median of 5 (at most ${MOST_FIRST_PAINT_MS})`,
-  );
+  console.log(`first paint: ${paint.toFixed(0)} ms, median of 5 (at most ${MOST_FIRST_PAINT_MS})`);
   expect(paint).toBeLessThanOrEqual(MOST_FIRST_PAINT_MS);
 });
 
@@ -71,18 +55,13 @@ for (const output of ["mesh", "scan"] as const) {
       rates.push(Number.parseInt(await page.locator(".rate").innerText(), 10));
     }
     const rate = median(rates);
-    const vertices = Number(
-      (await page.locator(".rate").innerText())
-        .match(/([\d,]+) vertices/)![1]!
-        .replace(",", ""),
-    );
+    const vertices = Number((await page.locator(".rate").innerText()).match(/([\d,]+) vertices/)![1]!.replace(",", ""));
     console.log(
       `replay of the ${output}: ${rate} pictures/s (at least ${FEWEST_PICTURES_PER_SECOND}) of ${vertices} vertices, ` +
         `${Math.min(...rates)} to ${Math.max(...rates)}`,
     );
     // The tracked mesh has as many as the coder gave it.
-    if (output === "scan")
-      expect(vertices).toBeGreaterThanOrEqual(0.9 * ASKED_VERTICES);
+    if (output === "scan") expect(vertices).toBeGreaterThanOrEqual(0.9 * ASKED_VERTICES);
     expect(vertices).toBeLessThanOrEqual(ASKED_VERTICES);
     expect(rate).toBeGreaterThanOrEqual(FEWEST_PICTURES_PER_SECOND);
   });
@@ -99,15 +78,11 @@ test("memory", async ({ browser, page, daemon }) => {
     await devtools.send("HeapProfiler.collectGarbage");
     const heap = await devtools.send("Runtime.getHeapUsage");
     // Messages and pictures lie outside of the heap of objects.
-    const outside =
-      (heap as { backingStorageSize?: number }).backingStorageSize ?? 0;
+    const outside = (heap as { backingStorageSize?: number }).backingStorageSize ?? 0;
     used.push((heap.usedSize + outside) / 2 ** 20);
   }
   const half = Math.floor(used.length / 2);
-  const [early, late] = [
-    median(used.slice(0, half || 1)),
-    median(used.slice(half)),
-  ];
+  const [early, late] = [median(used.slice(0, half || 1)), median(used.slice(half))];
   const process = await rendererMib(browser);
   console.log(
     `memory over ${MINUTES} min: scripts ${early.toFixed(0)} then ${late.toFixed(0)} MiB, ` +
@@ -125,10 +100,7 @@ async function rendererMib(browser: Browser): Promise<number> {
     .filter(({ type }) => type === "renderer")
     .map(({ id }) => {
       const rollup = readFileSync(`/proc/${id}/smaps_rollup`, "utf8");
-      return [...rollup.matchAll(/^Private_\w+: +(\d+) kB$/gm)].reduce(
-        (sum, m) => sum + Number(m[1]),
-        0,
-      );
+      return [...rollup.matchAll(/^Private_\w+: +(\d+) kB$/gm)].reduce((sum, m) => sum + Number(m[1]), 0);
     });
   return Math.max(...own) / 1024;
 }

@@ -8,11 +8,7 @@ const use = {
   launchOptions: {
     executablePath: process.env["GV3_CHROMIUM"] ?? "/usr/bin/chromium",
     // WebGL in software, as on a machine without a graphics card; a container has no user namespaces for the sandbox.
-    args: [
-      "--no-sandbox",
-      "--use-angle=swiftshader",
-      "--enable-unsafe-swiftshader",
-    ],
+    args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
   },
   viewport: { width: 1280, height: 800 },
   acceptDownloads: true,
@@ -40,8 +36,6 @@ export default defineConfig({
       testIgnore: /gv3\.spec\.ts/,
     },
     // Figures, which a machine that does other things too may miss: only when they are asked for.
-    ...(process.env["GV3_MEASURE_MINUTES"]
-      ? [{ name: "measure", testMatch: /measure\.ts/ }]
-      : []),
+    ...(process.env["GV3_MEASURE_MINUTES"] ? [{ name: "measure", testMatch: /measure\.ts/ }] : []),
   ],
 });

@@ -40,7 +40,7 @@ fn numbers(gltf: &Gltf, accessor: &Accessor) -> Vec<Vec<f32>> {
     let view = accessor.view().unwrap();
     let (size, step) = (accessor.size(), view.stride().unwrap_or(accessor.size()));
     assert!(accessor.offset() + (accessor.count() - 1) * step + size <= view.length(), "beyond the view");
-    assert!(accessor.offset() % 4 == 0 && view.offset() % 4 == 0 && step % 4 == 0, "not aligned");
+    assert!([accessor.offset(), view.offset(), step].iter().all(|at| at.is_multiple_of(4)), "not aligned");
     let blob = gltf.blob.as_ref().unwrap();
     assert!(view.offset() + view.length() <= blob.len(), "beyond the file");
     let all = &blob[view.offset()..view.offset() + view.length()];
