@@ -60,6 +60,30 @@ fn the_same_time_gives_the_same_files_however_it_is_asked_for() {
     assert_eq!(place.read("back/frame_0000.png"), picture);
 }
 
+#[test]
+fn the_tracked_mesh_of_a_shot_is_one_gltf_file_that_moves_and_a_scan_is_a_still() {
+    let place = session();
+    let report = place.gv3("decode face.gv3 -o clips --as mesh --format gltf --json").json();
+    assert_eq!((report["scans"].as_u64(), report["files"].as_u64()), (Some(19), Some(1)), "{report}");
+    let bytes = place.read("clips/frame_0000.glb");
+    assert_eq!(report["bytes"], bytes.len());
+    let clip = gltf::Gltf::from_slice_without_validation(&bytes).unwrap();
+    let primitive = clip.meshes().next().unwrap().primitives().next().unwrap();
+    assert_eq!(primitive.morph_targets().count(), 18);
+    let times = clip.animations().next().unwrap().channels().next().unwrap().sampler().input();
+    let last = times.max().unwrap()[0].as_f64().unwrap();
+    assert!((last - 20.0 / 30.0).abs() < 1e-3, "{last} s, with the gap");
+    assert_eq!(clip.images().count(), 1);
+    let report = place.gv3("decode face.gv3 -o stills --as scan --format glb --scans 0..2 --json").json();
+    assert_eq!(report["files"], 3);
+    let still = gltf::Gltf::from_slice_without_validation(&place.read("stills/frame_0002.glb")).unwrap();
+    assert_eq!((still.animations().count(), still.images().count()), (0, 1));
+    place
+        .gv3("decode face.gv3 -o many --as mesh --format gltf --fps 1000")
+        .failed(&["the most that an animation holds"]);
+    assert!(!place.path("many/frame_0000.glb").exists());
+}
+
 /// A PLY file from its first element on.
 fn without_texture_name(ply: &[u8]) -> &[u8] {
     let at = ply.windows(8).position(|w| w == b"element ").unwrap();

@@ -3,7 +3,7 @@ import { execFileSync } from "node:child_process";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { RealDaemon } from "./daemon";
-import { expect, test } from "./fixtures";
+import { drawnShare, expect, open, test } from "./fixtures";
 
 const RIG = join(__dirname, "../../config/simulated.toml");
 /** A disk that others rarely write to. */
@@ -50,6 +50,33 @@ test("a disk that fills up ends the recording, and no other begins, in words", a
   await expect(page.getByRole("alert").filter({ hasText: "lower the floor" }).last()).toBeVisible();
   await page.keyboard.press("s");
   await expect(page.getByRole("row").filter({ hasText: "until-full" }).locator(".badge")).toHaveText("complete");
+  await daemon.stop();
+  rmSync(folder, { recursive: true });
+});
+
+test("a camera unplugged during a recording is told, and the recording goes on when it is back", async ({ page }) => {
+  const folder = mkdtempSync(join(tmpdir(), "gv3-unplugged-"));
+  const rig = join(folder, "rig.toml");
+  const fault = '[[sim.faults]]\nkind = "unplugged"\nset = 45\npicture = 2\n';
+  writeFileSync(rig, `${readFileSync(RIG, "utf8")}\n${fault}`);
+  const daemon = await new RealDaemon(["--config", rig], join(folder, "sessions")).start();
+  await page.goto(daemon.url);
+  await page.getByLabel("Name of the next recording").fill("unplugged");
+  await page.getByRole("button", { name: "Record", exact: true }).click();
+  await expect(page.locator(".state")).toHaveText("Recording");
+  await expect(page.getByRole("alert").filter({ hasText: "Plug it in again" })).toBeVisible();
+  await expect(page.locator(".events .event-fault")).toContainText("disconnected");
+  await expect(page.locator(".events .event-gap")).toBeVisible();
+  const scans = async () => Number((await page.locator(".recording-line").innerText()).match(/([\d,]+) scans/)?.[1]);
+  const before = await scans();
+  await expect.poll(scans).toBeGreaterThan(before + 5);
+  await expect(page.locator(".state")).toHaveText("Recording");
+  await page.getByRole("button", { name: "Stop", exact: true }).click();
+  await expect(page.getByText(/closed and verified/)).toBeVisible();
+  await open(page, daemon, "#/replay/unplugged");
+  await expect.poll(() => drawnShare(page, "canvas.surface")).toBeGreaterThan(0.05);
+  await expect(page.locator(".timeline-marks .gap")).toHaveAttribute("title", /gap/);
+  await expect(page.locator(".timeline-marks .fault")).toHaveAttribute("title", /disconnected/);
   await daemon.stop();
   rmSync(folder, { recursive: true });
 });

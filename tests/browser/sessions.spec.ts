@@ -1,3 +1,4 @@
+import { readFileSync } from "node:fs";
 import { expect, FIRST, open, SECOND, test } from "./fixtures";
 
 /** Jobs make way for everything else on the machine. */
@@ -46,6 +47,28 @@ test("verifies, exports and downloads", async ({ page, daemon }) => {
     page.getByRole("button", { name: "Download" }).click(),
   ]);
   expect(file.suggestedFilename()).toBe(`${FIRST}.gv3`);
+});
+
+test("exports the tracked mesh as one animation", async ({ page, daemon }, info) => {
+  test.skip(info.project.name === "mock", "the mock's archives hold nothing");
+  await open(page, daemon, "#/sessions");
+  await page.getByRole("button", { name: `Export… ${FIRST}`, exact: true }).click();
+  const excess = await page.getByRole("dialog").evaluate((dialog) => dialog.scrollWidth - dialog.clientWidth);
+  expect(excess, "nothing is cut off").toBeLessThanOrEqual(0);
+  await page.getByLabel("Surface").selectOption("mesh");
+  await page.getByLabel("Files").selectOption("gltf");
+  await page.getByRole("button", { name: "Export", exact: true }).click();
+  const job = page.locator(".jobs li").filter({ hasText: "Export" });
+  await expect(job).toHaveAttribute("data-state", "done", JOB);
+  const [zip] = await Promise.all([page.waitForEvent("download"), job.getByRole("link", { name: /Save/ }).click()]);
+  const bytes = readFileSync((await zip.path())!);
+  // The archive's first entry is stored as it is: a head, a name, then glTF's own head and its JSON.
+  const start = 30 + bytes.readUInt16LE(26);
+  expect(bytes.toString("latin1", start, start + 4)).toBe("glTF");
+  const root = JSON.parse(bytes.toString("utf8", start + 20, start + 20 + bytes.readUInt32LE(start + 12)));
+  expect(root.animations[0].channels[0].target.path).toBe("weights");
+  expect(root.meshes[0].primitives[0].targets.length).toBeGreaterThan(5);
+  expect(root.images).toHaveLength(1);
 });
 
 test("deletes only after a yes", async ({ page, daemon }) => {

@@ -4,7 +4,7 @@ use super::Outcome;
 use super::encode::fps;
 use super::progress::{bar, human_bytes};
 use crate::files::picture::PictureFormat;
-use crate::files::{ExportFormat, ExportWriter};
+use crate::files::{ExportFormat, SequenceWriter};
 use crate::measure::{Output, SessionOutput};
 use crate::replay::Replay;
 use anyhow::{Result, bail};
@@ -12,10 +12,10 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Write the scans of a session as numbered OBJ+BMP or PLY files: those that were taken, or any frame rate or times.
+/// Write the scans of a session as numbered OBJ+BMP, PLY or glTF files: those that were taken, or any frame rate or times.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  gv3 decode smile.gv3 -o smile\n  gv3 decode smile.gv3 -o slow --fps 120 --format ply\n  gv3 decode smile.gv3 -o stills --times 0.5,1.25"
+    after_help = "Examples:\n  gv3 decode smile.gv3 -o smile\n  gv3 decode smile.gv3 -o slow --fps 120 --format ply\n  gv3 decode smile.gv3 -o stills --times 0.5,1.25\n  gv3 decode smile.gv3 -o clip --as mesh --format gltf    (a .glb a shot, which moves in Blender)"
 )]
 pub struct Decode {
     /// Session to read.
@@ -52,6 +52,19 @@ pub(super) enum Format {
     Obj,
     /// Binary PLY with a PNG.
     Ply,
+    /// Binary glTF; scans of one connectivity, as a shot of the tracked mesh, are one file with an animation.
+    #[value(alias = "glb")]
+    Gltf,
+}
+
+impl Format {
+    pub(super) fn export(self) -> ExportFormat {
+        match self {
+            Self::Obj => ExportFormat::Obj,
+            Self::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
+            Self::Gltf => ExportFormat::Gltf,
+        }
+    }
 }
 
 fn tick_range(text: &str) -> Result<(u64, u64), String> {
@@ -59,8 +72,9 @@ fn tick_range(text: &str) -> Result<(u64, u64), String> {
     parsed.filter(|(a, b)| a <= b).ok_or_else(|| "give two ticks as A..B with A not above B".into())
 }
 
-#[derive(Debug, Default, Serialize)]
+#[derive(Debug, Serialize)]
 struct DecodeReport {
+    scans: u64,
     files: u64,
     bytes: u64,
 }
@@ -70,22 +84,23 @@ impl Decode {
         let mut replay = Replay::open(&self.session)?;
         SessionOutput::new(&mut replay, self.output)?;
         let times = self.times_nanos(&replay)?;
-        let format = match self.format {
-            Format::Obj => ExportFormat::Obj,
-            Format::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
-        };
-        let writer = ExportWriter::create(&self.out, format, self.force)?;
+        let mut writer = SequenceWriter::create(&self.out, self.format.export(), self.force)?;
         let bar = bar(times.len() as u64, "decode");
-        let mut report = DecodeReport::default();
+        let scans = times.len() as u64;
         for (number, time_nanos) in times {
-            let scan = replay.scan_at(time_nanos)?;
-            report.bytes += writer.write(number, &scan.mesh, scan.texture.as_ref())?;
-            report.files += 1;
+            writer.write(number, &replay.scan_at(time_nanos)?)?;
             bar.inc(1);
         }
+        writer.finish()?;
         bar.finish_and_clear();
+        let report = DecodeReport { scans, files: writer.files(), bytes: writer.bytes() };
         Outcome::of(self.json, &report, || {
-            format!("{}: {} scans, {}", self.out.display(), report.files, human_bytes(report.bytes))
+            let clips = match report.files {
+                files if files == scans => String::new(),
+                1 => " in one file".into(),
+                files => format!(" in {files} files"),
+            };
+            format!("{}: {scans} scans{clips}, {}", self.out.display(), human_bytes(report.bytes))
         })
     }
 

@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::decode::Format;
 use super::progress::human_bytes;
-use crate::files::picture::{PictureFormat, read_picture};
+use crate::files::picture::read_picture;
 use crate::files::processing_config::read_gamma;
 use crate::files::{ExportFormat, ExportWriter, RawFolder};
 use crate::light::{Calibration, DepthRange, LightError, Limits, RejectedPixels};
@@ -143,10 +143,7 @@ struct ReconstructReport {
 
 impl Reconstruct {
     pub(super) fn run(self) -> Result<Outcome> {
-        let format = match self.format {
-            Format::Obj => ExportFormat::Obj,
-            Format::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
-        };
+        let format = self.format.export();
         match (&self.sequence, &self.calibration) {
             (None, None) if RawReader::is_recording(&self.folder) => {
                 if self.session.is_some() {

@@ -1,6 +1,7 @@
 //! Scans written as numbered files that other programs open.
 
 use super::error::{FileError, Result};
+use super::gltf::GltfClip;
 use super::obj::{Material, obj_bytes};
 use super::picture::{PictureFormat, picture_bytes};
 use super::ply::ply_bytes;
@@ -17,6 +18,8 @@ pub enum ExportFormat {
         /// Format of the picture.
         picture: PictureFormat,
     },
+    /// `frame_0001.glb`, with its picture within.
+    Gltf,
 }
 
 /// Writes numbered scans into a folder, each file whole or not at all.
@@ -42,41 +45,69 @@ impl ExportWriter {
         Ok(Self { folder: folder.into(), format })
     }
 
+    /// Which files it writes.
+    pub(super) fn format(&self) -> ExportFormat {
+        self.format
+    }
+
+    /// Where the mesh of a scan is written.
+    pub(super) fn path(&self, number: u64) -> PathBuf {
+        let extension = match self.format {
+            ExportFormat::Obj => "obj",
+            ExportFormat::Ply { .. } => "ply",
+            ExportFormat::Gltf => "glb",
+        };
+        self.folder.join(format!("frame_{number:04}.{extension}"))
+    }
+
     /// Writes one scan as `frame_NUMBER`; returns the bytes written.
     ///
     /// # Errors
     /// [`FileError`]: the mesh is not valid, or a file cannot be written.
     pub fn write(&self, number: u64, mesh: &TriMesh, texture: Option<&GreyPicture>) -> Result<u64> {
-        let name = |extension: &str| format!("frame_{number:04}.{extension}");
-        let mesh_path = self.folder.join(name("obj"));
-        mesh.validate().map_err(|e| FileError::content(&mesh_path, format!("not written: {e}")))?;
-        let picture_format = match self.format {
-            ExportFormat::Obj => PictureFormat::Bmp,
-            ExportFormat::Ply { picture } => picture,
-        };
-        let picture_name = name(picture_format.extension());
-        let mut written = 0;
-        if let Some(texture) = texture {
-            let path = self.folder.join(&picture_name);
-            written += write_whole(&path, &picture_bytes(texture, picture_format, &path)?)?;
-        }
-        let picture = texture.map(|_| picture_name.as_str());
+        let path = self.path(number);
+        check_mesh(mesh, &path)?;
         match self.format {
-            ExportFormat::Ply { .. } => {
-                written += write_whole(&self.folder.join(name("ply")), &ply_bytes(mesh, picture))?
-            }
-            ExportFormat::Obj => {
-                let library = name("mtl");
-                let material = picture.map(|picture| Material { library: &library, picture });
-                if let Some(material) = material {
-                    written += write_whole(&self.folder.join(&library), material.library_text().as_bytes())?;
-                }
-                // The mesh comes last: who sees it finds what it refers to.
-                written += write_whole(&mesh_path, &obj_bytes(mesh, material))?;
-            }
+            ExportFormat::Obj => write_obj(&path, mesh, texture),
+            ExportFormat::Ply { picture } => write_ply(&path, mesh, texture, picture),
+            ExportFormat::Gltf => write_whole(&path, &GltfClip::new(number, 0, mesh, texture).bytes(&path)?),
         }
-        Ok(written)
     }
+}
+
+/// Refuses a mesh that is not valid, in the name of the file that it would be.
+pub(super) fn check_mesh(mesh: &TriMesh, path: &Path) -> Result<()> {
+    mesh.validate().map_err(|e| FileError::content(path, format!("not written: {e}")))
+}
+
+fn write_obj(path: &Path, mesh: &TriMesh, texture: Option<&GreyPicture>) -> Result<u64> {
+    let (written, picture) = write_picture(path, texture, PictureFormat::Bmp)?;
+    let library_path = path.with_extension("mtl");
+    let library = file_name(&library_path);
+    let material = picture.as_deref().map(|picture| Material { library: &library, picture });
+    let library_bytes = match &material {
+        Some(material) => write_whole(&library_path, material.library_text().as_bytes())?,
+        None => 0,
+    };
+    // The mesh comes last: who sees it finds what it refers to.
+    Ok(written + library_bytes + write_whole(path, &obj_bytes(mesh, material))?)
+}
+
+fn write_ply(path: &Path, mesh: &TriMesh, texture: Option<&GreyPicture>, format: PictureFormat) -> Result<u64> {
+    let (written, picture) = write_picture(path, texture, format)?;
+    Ok(written + write_whole(path, &ply_bytes(mesh, picture.as_deref()))?)
+}
+
+/// Writes the picture beside a mesh; returns the bytes and its name.
+fn write_picture(mesh: &Path, texture: Option<&GreyPicture>, format: PictureFormat) -> Result<(u64, Option<String>)> {
+    let Some(texture) = texture else { return Ok((0, None)) };
+    let path = mesh.with_extension(format.extension());
+    let written = write_whole(&path, &picture_bytes(texture, format, &path)?)?;
+    Ok((written, Some(file_name(&path))))
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// Writes beside the file, then renames, so that no reader meets half a file.
@@ -132,11 +163,14 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_without_picture_is_one_file() {
+    fn a_scan_without_picture_or_with_it_inside_is_one_file() {
         let folder = tempfile::tempdir().unwrap();
         let writer = ExportWriter::create(folder.path(), ExportFormat::Obj, false).unwrap();
         writer.write(12345, &triangle(), None).unwrap();
         assert_eq!(names(folder.path()), ["frame_12345.obj"]);
+        let writer = ExportWriter::create(folder.path(), ExportFormat::Gltf, true).unwrap();
+        writer.write(7, &triangle(), Some(&GreyPicture::filled(2, 2, 9))).unwrap();
+        assert_eq!(names(folder.path()), ["frame_0007.glb", "frame_12345.obj"]);
     }
 
     #[test]

@@ -4,12 +4,11 @@ use super::jobs::Progress;
 use super::problem::Problem;
 use super::zip::ZipWriter;
 use crate::files::picture::PictureFormat;
-use crate::files::{ExportFormat, ExportWriter};
+use crate::files::{ExportFormat, SequenceWriter};
 use crate::live::{DiskStatus, Live};
 use crate::measure::Output;
 use crate::replay::Replay;
 use crate::store::SessionPlayer;
-use axum::http::StatusCode;
 use gv3_codec::{Checker, metrics};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -87,16 +86,13 @@ impl Export {
     /// Checks what can be checked without the session.
     ///
     /// # Errors
-    /// [`Problem`] 400 naming the field; 501 for a format that this build does not write.
+    /// [`Problem`] 400 naming the field.
     pub fn check(&self) -> Result<(), Problem> {
         if self.fps.is_some_and(|fps| !FPS_LIMITS.contains(&fps)) {
             return Err(Problem::bad_request("fps: from 0.01 to 1000"));
         }
         if self.first_tick.zip(self.last_tick).is_some_and(|(first, last)| first > last) {
             return Err(Problem::bad_request("first_tick is after last_tick"));
-        }
-        if self.format == Format::Gltf {
-            return Err(Problem::new(StatusCode::NOT_IMPLEMENTED, "this build writes obj and ply"));
         }
         Ok(())
     }
@@ -208,22 +204,26 @@ fn run_export(files: &[PathBuf], export: &Export, live: &Live, progress: &Progre
     progress.set_total(times.len() as u64);
     let format = match export.format {
         Format::Obj => ExportFormat::Obj,
-        Format::Ply | Format::Gltf => ExportFormat::Ply { picture: PictureFormat::Png },
+        Format::Ply => ExportFormat::Ply { picture: PictureFormat::Png },
+        Format::Gltf => ExportFormat::Gltf,
     };
     let folder = tempfile::tempdir_in(result.parent().unwrap_or(Path::new("."))).map_err(words)?;
-    let writer = ExportWriter::create(folder.path(), format, true).map_err(words)?;
+    let mut writer = SequenceWriter::create(folder.path(), format, true).map_err(words)?;
     let mut zip = ZipWriter::new(BufWriter::new(File::create(result).map_err(words)?));
     for (number, time_nanos) in &times {
         leave_room(live)?;
         let scan = player.scan_at(*time_nanos).map_err(words)?;
-        writer.write(*number, &scan.mesh, scan.texture.as_ref()).map_err(words)?;
+        writer.write(*number, &scan).map_err(words)?;
         pack(folder.path(), &mut zip).map_err(words)?;
         if !progress.step() {
             return Ok(None);
         }
     }
+    writer.finish().map_err(words)?;
+    pack(folder.path(), &mut zip).map_err(words)?;
     let (_, bytes) = zip.finish().map_err(words)?;
-    Ok(Some(Report(json!({ "as": player.output(), "scans": times.len(), "bytes": bytes }))))
+    let report = json!({ "as": player.output(), "scans": times.len(), "files": writer.files(), "bytes": bytes });
+    Ok(Some(Report(report)))
 }
 
 /// Ends an export before it takes the room that recordings need.

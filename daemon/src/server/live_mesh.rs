@@ -1,10 +1,11 @@
-//! `/live/mesh`: the newest scan, thinned.
+//! `/live/mesh`: the newest scan, thinned, with its depths.
 
 use super::input::Query;
 use super::latest::Latest;
 use super::mesh_message::{MeshMessages, VERTEX_LIMITS};
 use super::pace::{Pace, fps_limited};
 use super::problem::Problem;
+use super::scalars::Scalars;
 use super::shared::{Shared, State};
 use super::socket::{self, End, Receiver, Sender, close};
 use crate::live::LiveScan;
@@ -62,7 +63,8 @@ async fn stream(shared: Arc<Shared>, sender: Sender, mut receiver: Receiver, mut
         let Some(newest) = scans.borrow_and_update().clone() else { continue };
         pace.taken();
         let code = move |newest: &LiveScan| {
-            MeshMessages::new(most, false).encode(&newest.scan, newest.time_nanos as f64 * 1e-9, |_| None)
+            let depths = |kept: &[u32]| Some(Scalars::depths(&newest.scan, kept));
+            MeshMessages::new(most, false).encode(&newest.scan, newest.time_nanos as f64 * 1e-9, depths)
         };
         let Some(mut message) = shared.meshes.get(&newest, most, code).await.map(Vec::from) else {
             return End::new(close::ERROR, "the surface cannot be shown");

@@ -2,6 +2,7 @@
 //! JPEG. Byte table in the description of `/live/mesh` in openapi.json.
 
 use super::decimate::Decimation;
+use super::scalars::{ScalarKind, Scalars};
 use glam::Vec3;
 use gv3_codec::{GreyPicture, Scan};
 use jpeg_encoder::{ColorType, Encoder};
@@ -21,17 +22,6 @@ const POSITIONS_ONLY: u8 = 1;
 const HAS_TEXTURE: u8 = 1;
 const HAS_UV: u8 = 2;
 const HAS_SCALARS: u8 = 4;
-
-/// One number a vertex of a surface.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Scalars {
-    /// Values, one a vertex shown.
-    pub values: Vec<f32>,
-    /// Value shown as 0.
-    pub low: f32,
-    /// Value shown as 255.
-    pub high: f32,
-}
 
 /// What a viewer has been sent: as long as it holds, only positions are sent.
 struct Sent {
@@ -134,7 +124,8 @@ impl Message<'_> {
             | if self.scalars.is_some() { HAS_SCALARS } else { 0 };
         let mut out = Vec::with_capacity(HEADER_BYTES + kept.len() * 11 + 12 * triangles.len() + self.jpeg.len() + 8);
         out.extend(MESH_MAGIC.to_le_bytes());
-        out.extend([1, self.kind, flags, 0]);
+        let scalar_kind = self.scalars.map_or(ScalarKind::None, |s| s.kind);
+        out.extend([1, self.kind, flags, scalar_kind as u8]);
         out.extend(sequence.to_le_bytes());
         out.extend(topology_id.to_le_bytes());
         out.extend(time_seconds.to_le_bytes());
@@ -227,9 +218,9 @@ mod tests {
     #[test]
     fn a_full_message_has_the_layout_of_its_table() {
         let scan = scan(0.0);
-        let scalars = Scalars { values: vec![0.0, 1.0, 2.0, 3.0, 4.0], low: 0.0, high: 4.0 };
+        let scalars = Scalars { kind: ScalarKind::Motion, values: vec![0.0, 1.0, 2.0, 3.0, 4.0], low: 0.0, high: 4.0 };
         let bytes = MeshMessages::new(1000, false).encode(&scan, 1.5, |_| Some(scalars));
-        assert_eq!(&bytes[..8], b"GV3M\x01\x00\x07\x00");
+        assert_eq!(&bytes[..8], b"GV3M\x01\x00\x07\x03");
         assert_eq!((u32_at(&bytes, 8), u32_at(&bytes, 12)), (1, 1));
         assert_eq!(f64::from_le_bytes(bytes[16..24].try_into().unwrap()), 1.5);
         assert_eq!((u32_at(&bytes, 24), u32_at(&bytes, 28)), (5, 3));

@@ -28,6 +28,7 @@ mod rate;
 mod replay;
 mod reports;
 mod routes;
+mod scalars;
 mod scanner;
 mod sessions;
 mod shared;

@@ -1,6 +1,7 @@
 //! The clock and the decoder of one replay.
 
-use super::mesh_message::{MeshMessages, Scalars};
+use super::mesh_message::MeshMessages;
+use super::scalars::{ScalarKind, Scalars};
 use crate::measure::Output;
 use crate::store::SessionPlayer;
 use glam::Vec3;
@@ -20,8 +21,6 @@ const FPS_LIMITS: (f64, f64) = (0.1, 120.0);
 const SPEED_LIMIT: f64 = 100.0;
 /// Farther than this from the other output, a distance is shown as this much, mm.
 const MAX_ERROR_MM: f32 = 5.0;
-/// Share of the vertices whose value lies within the scale.
-const SCALE_SHARE: f32 = 0.98;
 
 /// What a viewer asks for; any of the fields.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
@@ -39,21 +38,6 @@ pub struct Command {
     pub scalars: Option<ScalarKind>,
     /// All messages up to this number have been taken.
     pub ack: Option<u32>,
-}
-
-/// One number a vertex.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ScalarKind {
-    /// None.
-    #[default]
-    None,
-    /// Distance from the camera, mm.
-    Depth,
-    /// Distance from the session's other output, mm: what tracking costs.
-    Error,
-    /// Distance from the place one scan earlier, mm; of the tracked mesh.
-    Motion,
 }
 
 /// State of one replay.
@@ -193,19 +177,16 @@ enum ScalarSource {
 impl ScalarSource {
     fn of(&self, scan: &Scan, kept: &[u32]) -> Scalars {
         let positions = kept.iter().map(|&v| (v as usize, scan.mesh.positions_mm[v as usize]));
-        let values: Vec<f32> = match self {
-            Self::Depth => positions.map(|(_, p)| p.z).collect(),
-            Self::Motion(earlier) => positions.map(|(v, p)| p.distance(earlier[v])).collect(),
+        match self {
+            Self::Depth => Scalars::depths(scan, kept),
+            Self::Motion(earlier) => {
+                Scalars::from_zero(ScalarKind::Motion, positions.map(|(v, p)| p.distance(earlier[v])).collect())
+            }
             Self::Error(other) => {
                 let distance = |p| other.nearest(p, MAX_ERROR_MM).map_or(MAX_ERROR_MM, |n| n.distance2_mm2.sqrt());
-                positions.map(|(_, p)| distance(p)).collect()
+                Scalars::from_zero(ScalarKind::Error, positions.map(|(_, p)| distance(p)).collect())
             }
-        };
-        let mut sorted = values.clone();
-        sorted.sort_unstable_by(f32::total_cmp);
-        let share = |s: f32| sorted.get((sorted.len().saturating_sub(1) as f32 * s) as usize).copied().unwrap_or(0.0);
-        let low = if matches!(self, Self::Depth) { share(1.0 - SCALE_SHARE) } else { 0.0 };
-        Scalars { values, low, high: share(SCALE_SHARE) }
+        }
     }
 }
 

@@ -92,7 +92,7 @@ export function meshMessage({ sequence, seconds, maxVertices, scalars, full }) {
   const high = { none: 0, depth: MIDDLE_MM + 100, error: 0.3, motion: 120 }[scalars] ?? 1;
   const low = scalars === "depth" ? MIDDLE_MM - 60 : 0;
   out.writeUInt32LE(0x4d335647, 0);
-  out.set([1, full ? 0 : 1, flags, 0], 4);
+  out.set([1, full ? 0 : 1, flags, ["none", "depth", "error", "motion"].indexOf(scalars)], 4);
   out.writeUInt32LE(sequence, 8);
   out.writeUInt32LE(1, 12);
   out.writeDoubleLE(seconds, 16);

@@ -51,7 +51,7 @@ function liveMesh(state, socket, fps, maxVertices) {
   every(socket, 1000 / fps, () => {
     if (!isOn(state) || socket.bufferedAmount > 0) return;
     const seconds = (Date.now() - state.began) / 1000;
-    socket.send(meshMessage({ sequence: (sequence += 1), seconds, maxVertices, scalars: "none", full: true }));
+    socket.send(meshMessage({ sequence: (sequence += 1), seconds, maxVertices, scalars: "depth", full: true }));
   });
 }
 

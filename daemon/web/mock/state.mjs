@@ -134,12 +134,10 @@ export class MockState {
   unplug(out) {
     this.unplugged = out;
     if (out) {
-      this.error = "camera: the cable was pulled (no picture for 1 s). Plug it in again; the recording waits for it.";
-      this.tell({ kind: "fault", source: "camera", message: "unplugged", tick: 123 });
+      this.tell({ kind: "fault", source: "capture", message: "the camera is disconnected", tick: 123 });
       if (!this.recording) this.scanner = "failed";
     } else {
-      this.error = null;
-      this.tell({ kind: "device_change", device: "camera", change: "plugged in" });
+      this.tell({ kind: "gap", tick: 123, ticks: 30 });
       if (!this.recording) this.scanner = "previewing";
     }
   }

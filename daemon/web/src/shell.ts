@@ -1,5 +1,5 @@
 import type { Context } from "./context";
-import type { Status } from "./api/types";
+import type { SessionEvent, Status } from "./api/types";
 import { button, h, setText } from "./ui/dom";
 import { clock } from "./ui/format";
 import { showHelp } from "./ui/help";
@@ -46,6 +46,7 @@ export class Shell {
     );
     context.feed.onStatus((status) => this.showStatus(status));
     context.feed.onConnection(() => this.showConnection());
+    context.feed.onEvent((event) => this.tell(event));
     context.keys.addGlobal(
       ...VIEWS.map(([view, name, key]) => ({ key, does: name, run: () => (location.hash = `#/${view}`) })),
       { key: "t", does: "Dark or light", run: () => this.toggleTheme() },
@@ -76,6 +77,15 @@ export class Shell {
     // A running clock would be read out twice a second.
     this.state.setAttribute("aria-live", recording ? "off" : "polite");
     setText(this.state, recording ? `REC ${clock(recording.seconds, 0)}` : state);
+  }
+
+  /** What the scanner's user must hear of in any view. */
+  private tell({ kind, message, ticks }: SessionEvent): void {
+    if (kind === "gap") this.context.announcer.say(`Scans come again after a gap of ${String(ticks)}`);
+    if (kind !== "fault") return;
+    const isGone = /disconnected/.test(String(message));
+    const advice = isGone ? ". Plug it in again: a recording waits for it and goes on after a gap." : "";
+    this.context.announcer.fault(new Error(`${String(message)}${advice}`));
   }
 
   private showConnection(): void {

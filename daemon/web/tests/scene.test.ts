@@ -5,21 +5,21 @@ import { eyeFrustum, placeCamera } from "../src/scene/stereo";
 
 const BOX = { low: [-75, -100, -600] as [number, number, number], high: [75, 100, -440] as [number, number, number] };
 
-function seen(orbit: Orbit, point: [number, number, number], eyeOffsetMm = 0): Vector3 {
+function seen(orbit: Orbit, point: [number, number, number], eyeOffsetMm = 0, aspect = 1.5): Vector3 {
   const camera = new PerspectiveCamera();
-  placeCamera(camera, orbit, 1.5, eyeOffsetMm);
+  placeCamera(camera, orbit, aspect, eyeOffsetMm);
   camera.updateMatrixWorld();
   return new Vector3(...point).project(camera);
 }
 
 describe("an orbit", () => {
-  it("shows all corners of the box it was fitted to", () => {
+  it.each([1.5, 1, 0.4])("shows all corners of the box it was fitted to, %f times as wide as high", (aspect) => {
     const orbit = new Orbit();
     orbit.fit(BOX);
     for (const x of [BOX.low[0], BOX.high[0]]) {
       for (const y of [BOX.low[1], BOX.high[1]]) {
         for (const z of [BOX.low[2], BOX.high[2]]) {
-          const p = seen(orbit, [x, y, z]);
+          const p = seen(orbit, [x, y, z], 0, aspect);
           expect(Math.max(Math.abs(p.x), Math.abs(p.y), Math.abs(p.z))).toBeLessThan(1);
         }
       }

@@ -17,6 +17,7 @@ describe("mesh messages", () => {
     expect(mesh.positions.length).toBe(3 * mesh.vertices);
     expect(mesh.uv?.length).toBe(2 * mesh.vertices);
     expect(mesh.scalars?.length).toBe(mesh.vertices);
+    expect(mesh.scalarKind).toBe("error");
     expect(mesh.triangles?.length).toBe(3 * mesh.triangleCount);
     expect(Math.max(...mesh.triangles!)).toBe(mesh.vertices - 1);
     const xs = Array.from(
@@ -30,6 +31,7 @@ describe("mesh messages", () => {
   it("carry positions alone while the triangles hold", () => {
     const mesh = readMesh(message({ full: false, scalars: "none" }));
     expect(mesh).toMatchObject({ full: false, uv: null, scalars: null, triangles: null, texture: null });
+    expect(mesh.scalarKind).toBe("none");
   });
 
   it("are refused when cut short anywhere, or of another kind", () => {

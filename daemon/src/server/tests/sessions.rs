@@ -43,6 +43,14 @@ async fn a_recording_lives_through_all_that_is_done_with_it() {
     let usual =
         server.job(server.post("/api/v1/sessions/smile/export", r#"{"format":"obj","last_tick":3}"#).await).await;
     assert_eq!((&usual["report"]["as"], &usual["report"]["scans"]), (&"scan".into(), &4.into()), "{usual}");
+    let clip = server.job(server.post("/api/v1/sessions/smile/export", r#"{"as":"mesh","format":"gltf"}"#).await).await;
+    assert_eq!((&clip["state"], &clip["report"]["scans"]), (&"done".into(), &stopped["scans"]), "{clip}");
+    let zip = server.get(&format!("/api/v1/jobs/{}/result", clip["id"].as_str().unwrap())).await;
+    let files = zip.body.windows(4).filter(|w| w == b"PK\x01\x02").count() as u64;
+    assert_eq!(Some(files), clip["report"]["files"].as_u64());
+    assert!(files < stopped["scans"].as_u64().unwrap(), "{files} files, one a shot");
+    // The first entry of the archive, stored as it is, begins after its head and name.
+    assert_eq!((&zip.body[30..36], &zip.body[40..48]), (&b"frame_"[..], &b".glbglTF"[..]));
     assert_eq!(listed["sessions"][0]["outputs"], serde_json::json!(["scan", "mesh"]));
     for wrong in [r#"{"as":"points","format":"obj"}"#, r#"{"format":"stl"}"#, "{}", r#"{"format":"obj","fps":0}"#] {
         assert_eq!(server.post("/api/v1/sessions/smile/export", wrong).await.status, 400, "{wrong}");

@@ -52,6 +52,25 @@ fn mesh(bytes: &[u8]) -> (u8, u32, u32, f64, u32) {
     (kind, u32_at(bytes, 8), u32_at(bytes, 12), f64::from_le_bytes(bytes[16..24].try_into().unwrap()), n as u32)
 }
 
+/// Scalars of a message are what -z of the positions says, but for the few beyond their range.
+fn depths_are_distances(bytes: &[u8]) {
+    let (n, f32_at) = (mesh(bytes).4 as usize, |at| f32::from_bits(u32_at(bytes, at)));
+    assert_eq!((bytes[6] & 4, bytes[7]), (4, 1), "depths");
+    let (low, high) = (f32_at(60), f32_at(64));
+    assert!(0.0 < low && low < high, "{low} to {high}");
+    let uv = if bytes[6] & 2 == 0 { 0 } else { 4 * n };
+    let scalars = &bytes[HEADER_BYTES + (6 * n).next_multiple_of(4) + uv..][..n];
+    for (v, &scalar) in scalars.iter().enumerate() {
+        let z = HEADER_BYTES + 6 * v + 4;
+        let depth = -(f32_at(40) + f32_at(52) * f32::from(u16::from_le_bytes([bytes[z], bytes[z + 1]])));
+        let shown = low + (high - low) * f32::from(scalar) / 255.0;
+        assert!(
+            (depth.clamp(low, high) - shown).abs() <= (high - low) / 255.0,
+            "vertex {v}: {depth} mm, shown {shown}"
+        );
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn the_newest_is_streamed_to_those_who_look() {
     let server = Running::start().await;
@@ -66,7 +85,9 @@ async fn the_newest_is_streamed_to_those_who_look() {
         views.push(server.socket(&format!("/live/picture?view={view}&fps=30")).await);
     }
     assert_eq!(server.post("/api/v1/recording/start", "{}").await.status, 201);
-    let (first, second) = (mesh(&bytes(&mut meshes).await), mesh(&bytes(&mut meshes).await));
+    let first = bytes(&mut meshes).await;
+    depths_are_distances(&first);
+    let (first, second) = (mesh(&first), mesh(&bytes(&mut meshes).await));
     assert!((1..=1000).contains(&first.4), "{first:?}");
     assert!(second.1 == first.1 + 1 && second.3 > first.3, "{first:?} {second:?}");
     for (view, socket) in views.iter_mut().enumerate() {
@@ -109,7 +130,9 @@ async fn replay_shows_any_moment_forwards_and_backwards_and_waits_for_acks() {
     let more = tokio::time::timeout(Duration::from_millis(300), socket.next()).await;
     assert!(more.is_err(), "a fifth message without an ack");
     say(&mut socket, r#"{"ack":6,"play":0,"seek_seconds":1e300}"#).await;
-    let end = mesh(&bytes(&mut socket).await);
+    let end = bytes(&mut socket).await;
+    depths_are_distances(&end);
+    let end = mesh(&end);
     assert!(end.3 < 100.0 && end.1 == 7, "{end:?}");
     let mut scans = server.socket("/sessions/face/replay?as=scan&max_vertices=600").await;
     let one = mesh(&bytes(&mut scans).await);

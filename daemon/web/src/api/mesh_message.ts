@@ -5,6 +5,10 @@ const MAGIC = 0x4d335647;
 /** A message that is not what the interface describes. */
 export class MessageError extends Error {}
 
+/** What the scalars of a message are, in the order of their numbers. */
+export const SCALARS = ["none", "depth", "error", "motion"] as const;
+export type Scalars = (typeof SCALARS)[number];
+
 /** A mesh as it came over the socket; arrays are views into the message, nothing is copied. */
 export interface MeshMessage {
   /** Whether triangles and uv came too; otherwise those of `topologyId` still hold. */
@@ -17,6 +21,7 @@ export interface MeshMessage {
   /** Position in mm = origin + step * value. */
   originMm: [number, number, number];
   stepMm: [number, number, number];
+  scalarKind: Scalars;
   scalarLow: number;
   scalarHigh: number;
   /** Three a vertex. */
@@ -65,6 +70,7 @@ export function readMesh(buffer: ArrayBuffer): MeshMessage {
     triangleCount,
     originMm: [f32(32), f32(36), f32(40)],
     stepMm: [f32(44), f32(48), f32(52)],
+    scalarKind: (scalars && SCALARS[view.getUint8(7)]) ?? "none",
     scalarLow: f32(60),
     scalarHigh: f32(64),
     positions,

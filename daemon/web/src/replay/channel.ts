@@ -3,7 +3,6 @@ import { ReconnectingSocket, type SocketState } from "../api/socket";
 import { MeshStream, type DecodedMesh } from "../scene/mesh_stream";
 
 export type ReplayOutput = "scan" | "mesh";
-export type Scalars = "none" | "depth" | "error" | "motion";
 
 /** Vertices asked for: what a tablet draws at 30 scans a second. */
 export const MOST_VERTICES = 20_000;

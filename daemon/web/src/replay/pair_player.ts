@@ -1,6 +1,7 @@
 import type { Client } from "../api/client";
+import type { Scalars } from "../api/mesh_message";
 import type { DecodedMesh } from "../scene/mesh_stream";
-import { ReplayChannel, type ReplayOutput, type Scalars } from "./channel";
+import { ReplayChannel, type ReplayOutput } from "./channel";
 import { advance, Barrier } from "./lock_step";
 import type { Playback } from "./playback";
 

@@ -1,5 +1,5 @@
 import type { ReconnectingSocket } from "../api/socket";
-import type { Scalars } from "./channel";
+import type { Scalars } from "../api/mesh_message";
 
 /** What the controls of a replay work on: one session, or two in step. */
 export interface Playback {

@@ -1,6 +1,7 @@
 import type { Client } from "../api/client";
+import type { Scalars } from "../api/mesh_message";
 import type { DecodedMesh } from "../scene/mesh_stream";
-import { ReplayChannel, SAME_S, type ReplayOutput, type Scalars } from "./channel";
+import { ReplayChannel, SAME_S, type ReplayOutput } from "./channel";
 import type { Playback } from "./playback";
 
 /** Pictures a second asked of the daemon. */

@@ -4,7 +4,7 @@ export interface Box {
   high: [number, number, number];
 }
 
-/** Vertical field of view, degrees. */
+/** Field of view along the shorter side of the picture, degrees. */
 export const FIELD_OF_VIEW_DEG = 30;
 /** Room around what is fitted. */
 const MARGIN = 1.1;
@@ -54,11 +54,11 @@ export class Orbit {
     this.tell();
   }
 
-  /** Moves the target along the picture, in heights of the picture. */
+  /** Moves the target along the picture, in shorter sides of the picture. */
   pan(right: number, up: number): void {
-    const height = 2 * this.distanceMm * Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360);
+    const side = 2 * this.distanceMm * Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360);
     const { right: r, up: u } = this.axes();
-    for (const k of [0, 1, 2] as const) this.target[k] += height * (right * r[k]! + up * u[k]!);
+    for (const k of [0, 1, 2] as const) this.target[k] += side * (right * r[k]! + up * u[k]!);
     this.tell();
   }
 

@@ -1,6 +1,6 @@
 import type { Orbit } from "./orbit";
 
-const TURN_RAD_PER_HEIGHT = Math.PI;
+const TURN_RAD_PER_SIDE = Math.PI;
 const KEY_TURN_RAD = Math.PI / 36;
 const KEY_PAN = 0.05;
 const KEY_ZOOM = 1.1;
@@ -22,9 +22,9 @@ export function bindOrbit(element: HTMLElement, orbit: Orbit): void {
     if (!before) return;
     const now = { x: event.clientX, y: event.clientY };
     const others = [...pointers].filter(([id]) => id !== event.pointerId).map(([, touch]) => touch);
-    const height = element.clientHeight || 1;
-    if (others[0]) pinch(orbit, before, now, others[0], height);
-    else drag(orbit, event, (now.x - before.x) / height, (now.y - before.y) / height);
+    const side = Math.min(element.clientWidth, element.clientHeight) || 1;
+    if (others[0]) pinch(orbit, before, now, others[0], side);
+    else drag(orbit, event, (now.x - before.x) / side, (now.y - before.y) / side);
     pointers.set(event.pointerId, now);
   });
   const up = (event: PointerEvent) => pointers.delete(event.pointerId);
@@ -47,14 +47,14 @@ export function bindOrbit(element: HTMLElement, orbit: Orbit): void {
 function drag(orbit: Orbit, event: PointerEvent, dx: number, dy: number): void {
   const moves = (event.buttons & 6) !== 0 || event.shiftKey;
   if (moves) orbit.pan(-dx, dy);
-  else orbit.turn(-dx * TURN_RAD_PER_HEIGHT, dy * TURN_RAD_PER_HEIGHT);
+  else orbit.turn(-dx * TURN_RAD_PER_SIDE, dy * TURN_RAD_PER_SIDE);
 }
 
 /** One of two fingers moved: half of the move pans, the change of distance zooms. */
-function pinch(orbit: Orbit, before: Touch, now: Touch, other: Touch, height: number): void {
+function pinch(orbit: Orbit, before: Touch, now: Touch, other: Touch, side: number): void {
   const distance = (a: Touch) => Math.max(10, Math.hypot(a.x - other.x, a.y - other.y));
   orbit.zoom(distance(before) / distance(now));
-  orbit.pan(-(now.x - before.x) / 2 / height, (now.y - before.y) / 2 / height);
+  orbit.pan(-(now.x - before.x) / 2 / side, (now.y - before.y) / 2 / side);
 }
 
 function pressed(orbit: Orbit, { key, shiftKey, ctrlKey, metaKey, altKey }: KeyboardEvent): boolean {

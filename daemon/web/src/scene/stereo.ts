@@ -15,9 +15,10 @@ const FAR = 8;
  */
 export function eyeFrustum(aspect: number, distanceMm: number, eyeOffsetMm: number): [number, number, number, number] {
   const near = NEAR * distanceMm;
-  const top = near * Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360);
+  const half = near * Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360);
+  const [right, top] = aspect < 1 ? [half, half / aspect] : [half * aspect, half];
   const shift = (-eyeOffsetMm * near) / distanceMm;
-  return [-top * aspect + shift, top * aspect + shift, top, -top];
+  return [-right + shift, right + shift, top, -top];
 }
 
 /** Stands a camera where an orbit says, moved to the right by an eye's offset. */

@@ -9,9 +9,10 @@ import {
   Texture,
   type TypedArray,
 } from "three";
-import type { MeshMessage } from "../api/mesh_message";
+import type { MeshMessage, Scalars } from "../api/mesh_message";
+import type { ColourRange } from "./colour_range";
 import type { Box } from "./orbit";
-import { SurfaceMaterial, type Look } from "./surface_material";
+import { scalarsOf, SurfaceMaterial, type Look } from "./surface_material";
 
 /** Room beyond what is needed when a buffer must grow, so that a live mesh does not grow one at every scan. */
 const SPARE = 1.25;
@@ -44,13 +45,12 @@ export class Surface {
   private triangles: Uint32Array | null = null;
   private wiresAreOld = true;
   private look: Look = "shaded";
-  private depthRange: [number, number] | null = null;
+  private scalars: { kind: Scalars; low: number; high: number } = { kind: "none", low: 0, high: 0 };
   /** Topology that the buffers hold. */
   topologyId: number | null = null;
   hasTexture = false;
-  hasScalars = false;
 
-  constructor() {
+  constructor(private readonly colours: ColourRange) {
     this.mesh.frustumCulled = this.wires.frustumCulled = false;
     this.wires.visible = false;
     this.object.add(this.mesh, this.wires);
@@ -61,8 +61,8 @@ export class Surface {
     if (!message.full && message.topologyId !== this.topologyId) return false;
     this.fill("position", message.positions, 3, false);
     if (message.uv) this.fill("uv", message.uv, 2, true);
-    this.hasScalars = message.scalars !== null;
     if (message.scalars) this.fill("scalar", message.scalars, 1, true);
+    this.scalars = { kind: message.scalarKind, low: message.scalarLow, high: message.scalarHigh };
     if (message.triangles) {
       this.fillIndex(this.geometry, message.triangles);
       this.triangles = message.triangles;
@@ -70,7 +70,7 @@ export class Surface {
       this.wiresAreOld = true;
     }
     for (const material of [this.material, this.wireMaterial]) material.setGrid(message.originMm, message.stepMm);
-    this.extendDepth(message);
+    if (this.isColoured) this.colours.extend(message.scalarLow, message.scalarHigh);
     if (picture) this.showPicture(picture);
     this.updateWires();
     return true;
@@ -78,7 +78,6 @@ export class Surface {
 
   setLook(look: Look): void {
     this.look = look;
-    this.material.setLook(look);
     this.wires.visible = look === "wireframe";
     this.updateWires();
   }
@@ -93,9 +92,18 @@ export class Surface {
     this.wireMaterial.setPlainColour(...wire);
   }
 
-  /** Depths (distances from the scanner along its axis) that the colours span, mm; null before the first message. */
-  get depths(): [number, number] | null {
-    return this.depthRange;
+  /** Whether there are the numbers that the look colours by. */
+  get isColoured(): boolean {
+    return this.scalars.kind !== "none" && this.scalars.kind === scalarsOf(this.look);
+  }
+
+  /** Before every drawing. A surface without the numbers for its look is shaded. */
+  prepare(): void {
+    const isWithout = scalarsOf(this.look) !== "none" && !this.isColoured;
+    this.material.setLook(isWithout ? "shaded" : this.look);
+    const [least, most] = this.colours.span ?? [0, 1];
+    const width = Math.max(most - least, 1e-6);
+    this.material.setScalarPlaces((this.scalars.low - least) / width, (this.scalars.high - this.scalars.low) / width);
   }
 
   dispose(): void {
@@ -104,14 +112,6 @@ export class Surface {
     this.material.dispose();
     this.wireMaterial.dispose();
     this.texture?.dispose();
-  }
-
-  /** Depth colours span all that was seen, so that they do not flicker. */
-  private extendDepth({ originMm, stepMm }: MeshMessage): void {
-    const [low, high] = [-originMm[2] - 65535 * stepMm[2], -originMm[2]];
-    const range = this.depthRange ?? [low, high];
-    this.depthRange = [Math.min(range[0], low), Math.max(range[1], high)];
-    this.material.setDepthRange(...this.depthRange);
   }
 
   private fill(name: string, values: TypedArray, size: number, normalized: boolean): void {

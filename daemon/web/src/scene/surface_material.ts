@@ -1,11 +1,14 @@
 import { DoubleSide, GLSL3, RawShaderMaterial, Vector3, type Texture } from "three";
+import type { Scalars } from "../api/mesh_message";
 
 /** How a surface is coloured. */
 export const LOOKS = ["textured", "shaded", "wireframe", "skin", "depth", "error", "motion"] as const;
 export type Look = (typeof LOOKS)[number];
 
-/** Looks that colour by a number of each vertex, and its unit. */
-export const SCALAR_UNITS: Partial<Record<Look, string>> = { depth: "mm", error: "mm", motion: "mm" };
+/** The numbers that a look colours by, all millimetres. */
+export function scalarsOf(look: Look): Scalars {
+  return look === "depth" || look === "error" || look === "motion" ? look : "none";
+}
 
 // Each look is a program of its own that carries only what it needs from vertex to pixel: in software rendering, every
 // number carried is paid for by every triangle.
@@ -23,10 +26,7 @@ out vec3 eyePosition;
 #endif
 #ifdef SCALAR
 in float scalar;
-out float value;
-#endif
-#ifdef DEPTH
-uniform vec2 depthRange;
+uniform float scalarScale, scalarStart;
 out float value;
 #endif
 void main() {
@@ -39,10 +39,7 @@ void main() {
   eyePosition = eye.xyz;
 #endif
 #ifdef SCALAR
-  value = scalar;
-#endif
-#ifdef DEPTH
-  value = clamp((-mm.z - depthRange.x) / (depthRange.y - depthRange.x), 0.0, 1.0);
+  value = clamp(scalarStart + scalarScale * scalar, 0.0, 1.0);
 #endif
   gl_Position = projectionMatrix * eye;
 }`;
@@ -79,7 +76,7 @@ vec3 shade() {
 #endif
 }
 #endif
-#if defined(SCALAR) || defined(DEPTH)
+#ifdef SCALAR
 in float value;
 vec3 shade() {
   const vec3 c0 = vec3(0.2777273, 0.0054074, 0.3340998);
@@ -105,7 +102,7 @@ const DEFINES: Record<Look, Record<string, string>> = {
   shaded: { LIT: "" },
   wireframe: { PLAIN: "" },
   skin: { LIT: "", SKIN: "" },
-  depth: { DEPTH: "" },
+  depth: { SCALAR: "" },
   error: { SCALAR: "" },
   motion: { SCALAR: "" },
 };
@@ -126,7 +123,8 @@ export class SurfaceMaterial extends RawShaderMaterial {
         originMm: { value: new Vector3() },
         stepMm: { value: new Vector3() },
         picture: { value: null },
-        depthRange: { value: [0, 1] },
+        scalarScale: { value: 1 },
+        scalarStart: { value: 0 },
         grey: { value: false },
         plainColour: { value: new Vector3() },
       },
@@ -148,8 +146,10 @@ export class SurfaceMaterial extends RawShaderMaterial {
     this.set("picture", picture);
   }
 
-  setDepthRange(lowMm: number, highMm: number): void {
-    this.set("depthRange", [lowMm, Math.max(highMm, lowMm + 1e-3)]);
+  /** Scalars, 0 to 1 in the buffer, become colours: the first one's place among the colours, and how far all span. */
+  setScalarPlaces(start: number, scale: number): void {
+    this.set("scalarStart", start);
+    this.set("scalarScale", scale);
   }
 
   /** Without colours, for red-cyan glasses: colours would differ between the eyes. */

@@ -2,6 +2,7 @@ import { Color, PerspectiveCamera, Scene, WebGLRenderer } from "three";
 import type { MeshMessage } from "../api/mesh_message";
 import { h } from "../ui/dom";
 import { themeColour } from "../ui/theme";
+import { ColourRange } from "./colour_range";
 import { Orbit } from "./orbit";
 import { bindOrbit } from "./orbit_input";
 import { renderStereo, type StereoMode } from "./stereo";
@@ -15,9 +16,11 @@ const MOST_PIXELS_PER_POINT = 1.5;
 export class Viewer {
   readonly canvas = h("canvas", { tabindex: "0", role: "img", class: "surface" });
   readonly element = h("div", { class: "viewer" }, this.canvas);
-  readonly surface = new Surface();
+  readonly surface: Surface;
   /** Drawn pictures of the surface, for rates. */
   drawn = 0;
+  /** Vertices of the surface shown. */
+  vertices = 0;
   private readonly renderer: WebGLRenderer | null;
   private readonly scene = new Scene();
   private readonly camera = new PerspectiveCamera();
@@ -30,7 +33,9 @@ export class Viewer {
   constructor(
     label: string,
     readonly orbit = new Orbit(),
+    readonly colours = new ColourRange(),
   ) {
+    this.surface = new Surface(colours);
     this.canvas.setAttribute("aria-label", `${label}. Arrow keys turn it, plus and minus zoom, 0 shows all.`);
     this.renderer = makeRenderer(this.canvas);
     if (!this.renderer) {
@@ -44,6 +49,7 @@ export class Viewer {
     this.forget.push(
       () => removeEventListener("gv3-theme", theme),
       this.orbit.onChange(() => this.requestDraw()),
+      this.colours.onChange(() => this.requestDraw()),
     );
     this.resize.observe(this.element);
     this.applyTheme();
@@ -52,6 +58,7 @@ export class Viewer {
   /** Shows a mesh, or only takes it in when it is late; the first one is looked at from the front. */
   show(message: MeshMessage, picture: ImageBitmap | null, isLate = false): boolean {
     if (!this.surface.update(message, picture)) return false;
+    this.vertices = message.vertices;
     if (isLate) return true;
     if (!this.orbit.fitted && message.vertices > 0) this.orbit.fit(messageBox(message));
     this.requestDraw();
@@ -116,6 +123,7 @@ export class Viewer {
       this.renderer.setPixelRatio(ratio);
       this.renderer.setSize(width, height);
     }
+    this.surface.prepare();
     renderStereo(this.renderer, this.scene, this.camera, this.orbit, this.stereo, [width, height]);
     this.drawn += 1;
   }

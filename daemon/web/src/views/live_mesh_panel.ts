@@ -1,5 +1,6 @@
 import { ReconnectingSocket } from "../api/socket";
 import type { Context } from "../context";
+import { Legend } from "../scene/legend";
 import { MeshStream } from "../scene/mesh_stream";
 import type { Look } from "../scene/surface_material";
 import { Viewer } from "../scene/viewer";
@@ -20,6 +21,7 @@ const LOOKS = [
 /** The newest scan as a surface. */
 export class LiveMeshPanel {
   private readonly viewer = new Viewer("Live surface");
+  private readonly legend = new Legend();
   private readonly figures = h("p", { class: "figures" });
   private readonly off = h("p", { class: "empty" }, "Scanner off");
   private readonly stale: StaleMark;
@@ -31,6 +33,7 @@ export class LiveMeshPanel {
     const stream = new MeshStream(
       ({ message, picture }) => {
         if (!this.viewer.show(message, picture)) picture?.close();
+        this.explainColours();
         setText(this.figures, `${count(message.vertices)} vertices shown`);
       },
       (error) => context.announcer.fault(error),
@@ -40,9 +43,9 @@ export class LiveMeshPanel {
       { message: (data) => stream.receive(data) },
     );
     this.stale = new StaleMark(() => this.socket, isOff);
-    const looks = choices("Look of the surface", LOOKS, "shaded", (look) => this.viewer.setLook(look));
+    const looks = choices("Look of the surface", LOOKS, "shaded", (look) => this.setLook(look));
     this.viewer.setLook("shaded");
-    this.viewer.element.append(this.off);
+    this.viewer.element.append(this.off, this.legend.element);
     this.element = h(
       "section",
       { class: "panel live-mesh", "aria-label": "Live surface" },
@@ -61,6 +64,17 @@ export class LiveMeshPanel {
       this.off.hidden = !isOff();
       this.viewer.canvas.classList.toggle("dimmed", isOff());
     });
+  }
+
+  private setLook(look: Look): void {
+    this.viewer.colours.reset();
+    this.viewer.setLook(look);
+    this.legend.hide();
+  }
+
+  private explainColours(): void {
+    const { surface, colours } = this.viewer;
+    if (surface.isColoured && colours.span) this.legend.show("Depth, mm", ...colours.span);
   }
 
   dispose(): void {

@@ -124,7 +124,8 @@ class OperateView implements View {
   private show(status: Status): void {
     setText(this.state, STATE_WORDS[status.state]);
     this.state.dataset["state"] = status.state;
-    setText(this.about, `${SOURCE_WORDS[status.source]} · ${status.rig}`);
+    const about = new Set([SOURCE_WORDS[status.source], status.rig]);
+    setText(this.about, [...about].join(" · "));
     this.complaint.hidden = status.error === null;
     setText(this.complaint, status.error ?? "");
     const warning = DEGRADATION_WORDS[status.degradation];

@@ -6,10 +6,11 @@ import type { Playback } from "../replay/playback";
 import { Player } from "../replay/player";
 import { Timeline } from "../replay/timeline";
 import { Transport } from "../replay/transport";
+import { ColourRange } from "../scene/colour_range";
 import { Legend } from "../scene/legend";
 import { Orbit } from "../scene/orbit";
 import type { StereoMode } from "../scene/stereo";
-import { SCALAR_UNITS, type Look } from "../scene/surface_material";
+import { scalarsOf, type Look } from "../scene/surface_material";
 import { Viewer } from "../scene/viewer";
 import type { DecodedMesh } from "../scene/mesh_stream";
 import { button, choices, dropdown, h, setText } from "../ui/dom";
@@ -34,6 +35,9 @@ const STEREO_NAMES = [
   ["side_by_side", "Side by side"],
 ] as const satisfies readonly (readonly [StereoMode, string])[];
 
+/** A look without its numbers for so long has none here; before, they may be on their way. */
+const SCALARS_PATIENCE_MS = 1000;
+
 /** Replays a session, or two in lock-step. */
 export function replayView(context: Context, route: Route): View {
   return new ReplayView(context, route);
@@ -42,6 +46,7 @@ export function replayView(context: Context, route: Route): View {
 class ReplayView implements View {
   readonly element = h("main", { class: "replay" });
   private readonly orbit = new Orbit();
+  private readonly colours = new ColourRange();
   private readonly viewers: Viewer[] = [];
   private readonly captions: HTMLElement[] = [];
   private readonly legend = new Legend();
@@ -55,6 +60,7 @@ class ReplayView implements View {
   private playback: Playback | null = null;
   private sessions: SessionDetail[] = [];
   private look: Look = "textured";
+  private lookMs = 0;
   private output: ReplayOutput = "scan";
   private drawnBefore = 0;
   private readonly timer = setInterval(() => this.measureRate(), 1000);
@@ -112,7 +118,7 @@ class ReplayView implements View {
 
   private build(names: string[]): void {
     for (const session of this.sessions) {
-      const viewer = new Viewer(`Surface of session ${session.name}`, this.orbit);
+      const viewer = new Viewer(`Surface of session ${session.name}`, this.orbit, this.colours);
       const caption = h("figcaption", {});
       this.viewers.push(viewer);
       this.captions.push(caption);
@@ -233,6 +239,8 @@ class ReplayView implements View {
 
   private setLook(look: Look): void {
     this.look = look;
+    this.lookMs = performance.now();
+    this.colours.reset();
     this.looks.select(look);
     for (const viewer of this.viewers) viewer.setLook(look);
     this.playback?.setScalars(scalarsOf(look));
@@ -246,16 +254,17 @@ class ReplayView implements View {
       return;
     }
     if (side > 0 || isLate) return;
-    const unit = SCALAR_UNITS[this.look];
+    this.explainColours(viewer);
+  }
+
+  private explainColours({ surface }: Viewer): void {
+    if (scalarsOf(this.look) === "none") return;
     const name = LOOK_NAMES.find(([look]) => look === this.look)![1];
-    if (!unit) return;
-    if (this.look === "depth") {
-      const [low, high] = viewer.surface.depths ?? [0, 1];
-      this.legend.show(`${name}, ${unit}`, low, high);
-    } else if (!message.scalars) {
-      const where = this.look === "motion" ? "Motion is known of the tracked mesh only." : `${name} is not known here.`;
-      this.legend.note(where);
-    } else this.legend.show(`${name}, ${unit}`, message.scalarLow, message.scalarHigh);
+    if (surface.isColoured) this.legend.show(`${name}, mm`, ...(this.colours.span ?? [0, 1]));
+    else if (performance.now() - this.lookMs > SCALARS_PATIENCE_MS)
+      this.legend.note(
+        this.look === "motion" ? "Motion is known of the tracked mesh only." : `${name} is not known here.`,
+      );
   }
 
   private changed(): void {
@@ -266,7 +275,8 @@ class ReplayView implements View {
 
   private measureRate(): void {
     const drawn = this.viewers[0]?.drawn ?? 0;
-    setText(this.rate, this.playback?.playing ? `${drawn - this.drawnBefore} pictures/s` : "");
+    const rate = this.playback?.playing ? `${drawn - this.drawnBefore} pictures/s · ` : "";
+    setText(this.rate, `${rate}${count(this.viewers[0]?.vertices ?? 0)} vertices`);
     this.drawnBefore = drawn;
   }
 
@@ -276,9 +286,4 @@ class ReplayView implements View {
       if (picture) download(`${this.sessions[k]!.name}-${this.look}.png`, "image/png", picture);
     }
   }
-}
-
-/** What the daemon must send for a look; depth the page knows by itself. */
-function scalarsOf(look: Look): "none" | "error" | "motion" {
-  return look === "error" || look === "motion" ? look : "none";
 }

@@ -10,6 +10,7 @@ import { checkName } from "../ui/session_name";
 const FORMATS = [
   ["obj", "OBJ, BMP and MTL (MeshLab, Blender)"],
   ["ply", "PLY and PNG"],
+  ["gltf", "glTF (.glb), a tracked mesh animated"],
 ] as const;
 
 /** What can be done with a session: buttons, and the dialogs behind them. */

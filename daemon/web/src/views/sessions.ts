@@ -54,10 +54,6 @@ export function sessionsView(context: Context): View {
     empty.hidden = sessions.length > 0;
     table.hidden = sessions.length === 0;
     const size = sessions.reduce((sum, s) => sum + s.bytes, 0);
-    table.classList.toggle(
-      "without-tolerance",
-      sessions.every((s) => s.tolerance_mm == null),
-    );
     total.textContent = `${count(sessions.length)} sessions, ${bytes(size)}`;
     if (focused) body.querySelector<HTMLElement>(`[data-focus="${CSS.escape(focused)}"]`)?.focus();
   };
