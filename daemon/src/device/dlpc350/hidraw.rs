@@ -3,6 +3,7 @@
 use super::link::{HidLink, HidOpener, LinkError, Wanted};
 use gv3_protocol::dlpc350::{PRODUCT_ID, REPORT_BYTES, Report, VENDOR_ID};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::FlockOperation;
 use rustix::io::Errno;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Read, Write};
@@ -87,7 +88,7 @@ pub struct HidrawLink {
 }
 
 impl HidrawLink {
-    /// Opens a node.
+    /// Opens a node and locks it against other programs that do the same.
     ///
     /// # Errors
     /// [`LinkError::Failed`] with what to do.
@@ -102,6 +103,12 @@ impl HidrawLink {
             };
             LinkError::Failed(format!("{}: {error}{hint}", path.display()))
         })?;
+        // hidraw gives every program a turn; of two that drive one projector neither could know what it shows.
+        if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
+            let path = path.display();
+            let reason = format!("{path}: in use by another program; end that one (`fuser -v {path}` names it)");
+            return Err(LinkError::Failed(reason));
+        }
         Ok(Self { file })
     }
 
@@ -203,5 +210,15 @@ mod tests {
     fn a_node_that_cannot_be_opened_is_named() {
         let error = HidrawLink::open(Path::new("/dev/hidraw-none")).err().unwrap().to_string();
         assert!(error.starts_with("/dev/hidraw-none: "), "{error}");
+    }
+
+    #[test]
+    fn a_node_is_one_programs_until_it_is_closed() {
+        let node = tempfile::NamedTempFile::new().unwrap();
+        let first = HidrawLink::open(node.path()).unwrap();
+        let error = HidrawLink::open(node.path()).err().unwrap().to_string();
+        assert!(error.contains("in use by another program"), "{error}");
+        drop(first);
+        HidrawLink::open(node.path()).unwrap();
     }
 }

@@ -41,7 +41,7 @@ fn opening(error: nusb::Error) -> LinkError {
         ErrorKind::PermissionDenied => LinkError::Failed(format!(
             "{error}; give your user access with `sudo gv3 install-udev`, then plug it in again"
         )),
-        ErrorKind::Busy => LinkError::Failed(format!("{error}; it is in use by another program")),
+        ErrorKind::Busy => LinkError::Failed(format!("{error}; in use by another program: end that one")),
         _ => LinkError::Failed(error.to_string()),
     }
 }

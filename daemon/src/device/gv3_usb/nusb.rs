@@ -37,7 +37,7 @@ impl NusbTransport {
         let opening = |e: nusb::Error| match e.kind() {
             ErrorKind::PermissionDenied => UsbError::no_rights(&place),
             ErrorKind::Disconnected => UsbError::Disconnected,
-            ErrorKind::Busy => UsbError::Failed(format!("{place}: in use by another program")),
+            ErrorKind::Busy => UsbError::in_use(&place),
             _ => UsbError::Failed(format!("{place}: {e}")),
         };
         let device = info.open().wait().map_err(opening)?;

@@ -35,7 +35,7 @@ impl RusbTransport {
         let opening = |e: rusb::Error| match e {
             rusb::Error::Access => UsbError::no_rights(&place),
             rusb::Error::NoDevice => UsbError::Disconnected,
-            rusb::Error::Busy => UsbError::Failed(format!("{place}: in use by another program")),
+            rusb::Error::Busy => UsbError::in_use(&place),
             _ => UsbError::Failed(format!("{place}: {e}")),
         };
         let handle = handle.map_err(opening)?;

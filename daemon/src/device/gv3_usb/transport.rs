@@ -58,6 +58,12 @@ impl UsbError {
     pub(super) fn no_rights(place: &UsbPlace) -> Self {
         Self::Failed(format!("{place}: no rights; install udev/70-gv3.rules as its first lines say, or plug in again"))
     }
+
+    /// Another program has claimed it.
+    #[cfg(any(feature = "nusb", feature = "rusb"))]
+    pub(super) fn in_use(place: &UsbPlace) -> Self {
+        Self::Failed(format!("{place}: in use by another program; end that one"))
+    }
 }
 
 /// Which of several devices is meant.

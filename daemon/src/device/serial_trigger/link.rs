@@ -99,7 +99,13 @@ impl Link {
     fn connect(&mut self) -> Result<Port, String> {
         let path = self.path()?;
         let port = serialport::new(&path, self.config.baud).timeout(LISTEN).open();
-        let mut port = port.map_err(|e| format!("{path}: {e}"))?;
+        let mut port = port.map_err(|e| match e.kind {
+            // What the crate calls a port that is locked.
+            serialport::ErrorKind::NoDevice => {
+                format!("{path}: in use by another program; end that one (`fuser -v {path}` names it)")
+            }
+            _ => format!("{path}: {e}"),
+        })?;
         self.reader.clear();
         // Ends a line that was cut off.
         port.write_all(b"\n").map_err(|e| format!("{path}: {e}"))?;

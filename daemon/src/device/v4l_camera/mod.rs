@@ -40,6 +40,7 @@ const FLAG_ERROR: u32 = v4l::v4l_sys::V4L2_BUF_FLAG_ERROR;
 const FLAG_STAMP_SOURCE: u32 = v4l::v4l_sys::V4L2_BUF_FLAG_TSTAMP_SRC_MASK;
 const FLAG_START_OF_EXPOSURE: u32 = v4l::v4l_sys::V4L2_BUF_FLAG_TSTAMP_SRC_SOE;
 const ENODEV: i32 = 19;
+const EBUSY: i32 = 16;
 
 /// Streams that end by themselves are begun again so many times in a row.
 const MOST_RESTARTS: u32 = 3;
@@ -173,6 +174,9 @@ impl V4lCamera {
 
     /// An error of the driver's; the device is gone if the error says so, or if it cannot be opened any more.
     fn failed(&mut self, action: &str, error: &io::Error) -> DeviceError {
+        if error.raw_os_error() == Some(EBUSY) {
+            return in_use(&self.node);
+        }
         if error.raw_os_error() == Some(ENODEV) || Device::with_path(&self.node.path).is_err() {
             return self.gone();
         }
@@ -182,7 +186,7 @@ impl V4lCamera {
     fn prepare(&mut self, want: &CameraSettings) -> Result<CameraSettings, DeviceError> {
         self.ready = None;
         let device = driver_call(|| Device::with_path(&self.node.path)).map_err(|e| self.failed("opening", &e))?;
-        let format = agree_format(&device, &self.config, want)?;
+        let format = agree_format(&device, &self.node, &self.config, want)?;
         let wanted_nanos = match want.trigger {
             TriggerSource::Projector => self.picture_period_nanos,
             TriggerSource::Internal { period_nanos } => period_nanos,
@@ -370,14 +374,30 @@ impl Camera for V4lCamera {
     }
 }
 
+/// A camera serves one program at a time; drivers refuse the second when it sets a format, or when it begins to stream.
+fn in_use(node: &V4lNode) -> DeviceError {
+    let path = node.path.display();
+    DeviceError::Failed(format!(
+        "the camera \"{}\" is in use by another program; end that one (`fuser -v {path}` names it)",
+        node.name
+    ))
+}
+
 /// Sets size and pixel format; what the driver makes of them must be what was asked for.
-fn agree_format(device: &Device, config: &V4lConfig, want: &CameraSettings) -> Result<PictureFormat, DeviceError> {
+fn agree_format(
+    device: &Device,
+    node: &V4lNode,
+    config: &V4lConfig,
+    want: &CameraSettings,
+) -> Result<PictureFormat, DeviceError> {
     let fourcc = FourCC::new(&config.pixel_format.fourcc());
     // Stride and size 0 leave both to the driver; what comes back is used.
     let wanted = Format::new(want.width_px, want.height_px, fourcc);
     let set = driver_call(|| device.set_format(&wanted));
-    let set =
-        set.map_err(|e| DeviceError::config("camera.v4l.pixel_format", format!("the camera refuses {fourcc}: {e}")))?;
+    let set = set.map_err(|e| match e.raw_os_error() {
+        Some(EBUSY) => in_use(node),
+        _ => DeviceError::config("camera.v4l.pixel_format", format!("the camera refuses {fourcc}: {e}")),
+    })?;
     if set.fourcc != fourcc {
         let offered = driver_call(|| device.enum_formats()).unwrap_or_default();
         let offered: Vec<String> = offered.iter().map(|format| format.fourcc.to_string()).collect();
