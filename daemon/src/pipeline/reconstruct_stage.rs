@@ -6,6 +6,7 @@ use super::monitor::{LivePicture, Monitor, Stage, thread_cpu};
 use super::record::RecordError;
 use super::recording::{Rebuilt, Recording};
 use super::{FrameSet, Reconstruction, Reconstructor};
+use crate::light::RejectedPixels;
 use gv3_codec::Scan;
 use gv3_protocol::session::{Event, EventKind};
 use std::sync::Arc;
@@ -16,6 +17,8 @@ use tracing::{debug_span, warn};
 
 /// Cause of drop: left out so that the encoder can catch up.
 pub(super) const LEFT_OUT: &str = "degradation_between";
+/// Cause of drop: the set's own frequencies contradict each other.
+pub(super) const CONTRADICTORY: &str = "patterns_contradict";
 /// Cause of drop: the queue before the encoder is full.
 pub(super) const QUEUE_ENCODE: &str = "queue_encode";
 
@@ -97,6 +100,15 @@ impl ReconstructStage {
         self.rebuilt.time += begin.elapsed();
         self.rebuilt.sets += 1;
         self.rebuilt.rejected += result.rejected;
+        if is_contradictory(&result) {
+            warn!(
+                tick = set.tick,
+                "these are not the pictures of these patterns; `gv3 doctor` tells by how much they are off"
+            );
+            self.out.drop_work(CONTRADICTORY, set.tick, set.time_nanos);
+            self.show(set);
+            return Ok(());
+        }
         if let Some(event) = empty_event(&result) {
             self.out.tell(event)?;
         }
@@ -154,6 +166,16 @@ impl ReconstructStage {
     }
 }
 
+/// Whether the frequencies of a set disagree all over the scan. Numbers and times cannot tell that a sensor skipped the first
+/// trigger of a run; pictures can: of patterns one further on, two frequencies give phases that have nothing to do with each
+/// other, and one pixel in five is refused for its fringe order. Motion and noise stay far below one in eight. A sequence of one
+/// period has no such witness.
+fn is_contradictory(result: &Reconstruction) -> bool {
+    let RejectedPixels { fringe_order, depth_range, unmeshed, .. } = result.rejected;
+    let measured = fringe_order + depth_range + unmeshed + result.scan.mesh.positions_mm.len() as u64;
+    8 * fringe_order > measured
+}
+
 /// Says of a scan without a surface what rejected most of its pixels: `empty_scan_low_modulation` when all was dark.
 fn empty_event(result: &Reconstruction) -> Option<Event> {
     let Scan { tick, time_nanos, mesh, .. } = &result.scan;
@@ -166,8 +188,28 @@ fn empty_event(result: &Reconstruction) -> Option<Event> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{Frame, PatternIndex, RigConfig};
+    use crate::device::{self, Frame, PatternIndex, RigConfig};
     use gv3_codec::GreyPicture;
+    use std::time::Duration;
+
+    /// Two sets of the simulator's, and what becomes of six pictures in a row from any place in them.
+    #[test]
+    fn pictures_of_other_patterns_are_told_by_what_they_show() {
+        let config = RigConfig::simulated();
+        let mut rig = device::open(&config).unwrap();
+        rig.camera.configure(&config.camera_settings()).unwrap();
+        rig.projector.load(&rig.sequence).unwrap();
+        rig.camera.start().unwrap();
+        rig.projector.play(&rig.timing).unwrap();
+        let mut next = || rig.camera.next_frame(Instant::now() + Duration::from_secs(20)).unwrap();
+        let frames: Vec<Frame> = (0..12).map(|_| next()).collect();
+        let mut reconstructor = Reconstructor::new(&rig.calibration, &rig.sequence, &rig.limits).unwrap();
+        for skipped in 0..=6 {
+            let set = FrameSet { tick: 0, time_nanos: 0, frames: frames[skipped..skipped + 6].to_vec() };
+            let result = reconstructor.reconstruct(&set).unwrap();
+            assert_eq!(is_contradictory(&result), skipped % 6 != 0, "{skipped} skipped: {:?}", result.rejected);
+        }
+    }
 
     #[test]
     fn a_set_all_dark_or_clipped_is_an_event_by_its_cause() {
