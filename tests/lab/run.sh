@@ -3,7 +3,7 @@
 # Where the lab is not there, cannot be built or does not boot, it says so and succeeds.
 #
 #   tests/lab/run.sh             everything
-#   tests/lab/run.sh --short     what a change may break first, some minutes: the rules, the trigger, short captures
+#   tests/lab/run.sh --short     what a change may break first, some minutes: the rules, trigger, USB, short captures
 set -uo pipefail
 cd "$(dirname "$0")/../.." || exit 1
 lab=${GV3_LAB:-../shared/lab}
@@ -26,7 +26,7 @@ boots || skip "its virtual machine does not boot here"
 
 scripts="udev trigger camera usb_transports contract capture"
 if [ "${1:-}" = --short ]; then
-    scripts="udev trigger capture"
+    scripts="udev trigger usb_transports capture"
     export SETS=${SETS:-6} RUNS=${RUNS:-"clean faults camera-replug"}
 fi
 cargo build --quiet --locked -p gv3 || exit 1

@@ -376,11 +376,11 @@ impl Camera for V4lCamera {
 
 /// A camera serves one program at a time; drivers refuse the second when it sets a format, or when it begins to stream.
 fn in_use(node: &V4lNode) -> DeviceError {
-    let path = node.path.display();
-    DeviceError::Failed(format!(
-        "the camera \"{}\" is in use by another program; end that one (`fuser -v {path}` names it)",
-        node.name
-    ))
+    let (name, path) = (&node.name, node.path.display());
+    // v4l2loopback says the same when there is nothing to show.
+    let or_else = if node.driver == "v4l2 loopback" { ", or nobody sends to it" } else { "" };
+    let action = format!("end that one (`fuser -v {path}` names it)");
+    DeviceError::Failed(format!("the camera \"{name}\" is in use by another program; {action}{or_else}"))
 }
 
 /// Sets size and pixel format; what the driver makes of them must be what was asked for.
