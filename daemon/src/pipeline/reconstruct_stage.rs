@@ -19,6 +19,8 @@ use tracing::{debug_span, warn};
 pub(super) const LEFT_OUT: &str = "degradation_between";
 /// Cause of drop: the set's own frequencies contradict each other.
 pub(super) const CONTRADICTORY: &str = "patterns_contradict";
+/// Fewer pixels than this say nothing about a whole set.
+const LEAST_MEASURED: u64 = 1000;
 /// Cause of drop: the queue before the encoder is full.
 pub(super) const QUEUE_ENCODE: &str = "queue_encode";
 
@@ -173,7 +175,7 @@ impl ReconstructStage {
 fn is_contradictory(result: &Reconstruction) -> bool {
     let RejectedPixels { fringe_order, depth_range, unmeshed, .. } = result.rejected;
     let measured = fringe_order + depth_range + unmeshed + result.scan.mesh.positions_mm.len() as u64;
-    8 * fringe_order > measured
+    measured >= LEAST_MEASURED && 8 * fringe_order > measured
 }
 
 /// Says of a scan without a surface what rejected most of its pixels: `empty_scan_low_modulation` when all was dark.
