@@ -105,7 +105,7 @@ impl ReconstructStage {
         if is_contradictory(&result) {
             warn!(
                 tick = set.tick,
-                "these are not the pictures of these patterns; `gv3 doctor` tells by how much they are off"
+                "these are not the pictures of these patterns; `gv3 doctor` tells by how many they are off"
             );
             self.out.drop_work(CONTRADICTORY, set.tick, set.time_nanos);
             self.show(set);
@@ -168,14 +168,17 @@ impl ReconstructStage {
     }
 }
 
-/// Whether the frequencies of a set disagree all over the scan. Numbers and times cannot tell that a sensor skipped the first
-/// trigger of a run; pictures can: of patterns one further on, two frequencies give phases that have nothing to do with each
-/// other, and one pixel in five is refused for its fringe order. Motion and noise stay far below one in eight. A sequence of one
-/// period has no such witness.
+/// Whether the pictures of a set are not of its patterns. Numbers and times cannot tell that a sensor skipped the first trigger of
+/// a run; pictures can: of patterns one further on, two frequencies give phases that have nothing to do with each other. One
+/// pixel in five is refused for its fringe order, and of the others less than half make a surface. Noise and motion refuse far
+/// less than one in ten; a projector whose gamma is not corrected refuses more, but most of the rest is in its place. A
+/// sequence of one period has no such witness.
 fn is_contradictory(result: &Reconstruction) -> bool {
     let RejectedPixels { fringe_order, depth_range, unmeshed, .. } = result.rejected;
-    let measured = fringe_order + depth_range + unmeshed + result.scan.mesh.positions_mm.len() as u64;
-    measured >= LEAST_MEASURED && 8 * fringe_order > measured
+    let kept = result.scan.mesh.positions_mm.len() as u64;
+    let ordered = depth_range + unmeshed + kept;
+    let measured = fringe_order + ordered;
+    measured >= LEAST_MEASURED && 10 * fringe_order > measured && 2 * kept < ordered
 }
 
 /// Says of a scan without a surface what rejected most of its pixels: `empty_scan_low_modulation` when all was dark.
@@ -194,22 +197,31 @@ mod tests {
     use gv3_codec::GreyPicture;
     use std::time::Duration;
 
-    /// Two sets of the simulator's, and what becomes of six pictures in a row from any place in them.
+    /// What becomes of six pictures in a row, from any place in two sets of the simulator's.
     #[test]
     fn pictures_of_other_patterns_are_told_by_what_they_show() {
-        let config = RigConfig::simulated();
-        let mut rig = device::open(&config).unwrap();
-        rig.camera.configure(&config.camera_settings()).unwrap();
-        rig.projector.load(&rig.sequence).unwrap();
-        rig.camera.start().unwrap();
-        rig.projector.play(&rig.timing).unwrap();
-        let mut next = || rig.camera.next_frame(Instant::now() + Duration::from_secs(20)).unwrap();
-        let frames: Vec<Frame> = (0..12).map(|_| next()).collect();
-        let mut reconstructor = Reconstructor::new(&rig.calibration, &rig.sequence, &rig.limits).unwrap();
-        for skipped in 0..=6 {
-            let set = FrameSet { tick: 0, time_nanos: 0, frames: frames[skipped..skipped + 6].to_vec() };
-            let result = reconstructor.reconstruct(&set).unwrap();
-            assert_eq!(is_contradictory(&result), skipped % 6 != 0, "{skipped} skipped: {:?}", result.rejected);
+        for (projector_gamma, velocity_mm_s) in [(1.0, [0.0; 3]), (2.2, [0.0; 3]), (1.0, [150.0, 0.0, 150.0])] {
+            let mut config = RigConfig::simulated();
+            (config.sim.projector_gamma, config.sim.velocity_mm_s) = (projector_gamma, velocity_mm_s);
+            let mut rig = device::open(&config).unwrap();
+            rig.camera.configure(&config.camera_settings()).unwrap();
+            rig.projector.load(&rig.sequence).unwrap();
+            rig.camera.start().unwrap();
+            rig.projector.play(&rig.timing).unwrap();
+            let mut next = || rig.camera.next_frame(Instant::now() + Duration::from_secs(20)).unwrap();
+            let frames: Vec<Frame> = (0..12).map(|_| next()).collect();
+            let mut reconstructor = Reconstructor::new(&rig.calibration, &rig.sequence, &rig.limits).unwrap();
+            for skipped in 0..=6 {
+                let set = FrameSet { tick: 0, time_nanos: 0, frames: frames[skipped..skipped + 6].to_vec() };
+                let result = reconstructor.reconstruct(&set).unwrap();
+                let is_other = skipped % 6 != 0;
+                assert_eq!(
+                    is_contradictory(&result),
+                    is_other,
+                    "{skipped} skipped, gamma {projector_gamma}: {:?}",
+                    result.rejected
+                );
+            }
         }
     }
 
