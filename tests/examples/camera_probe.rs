@@ -1,7 +1,7 @@
 //! Streams from one V4L2 camera through the backend and tells what it saw; for the scripts in `tests/lab`.
 //!
-//! `camera_probe [--pictures N] [--period-ms T] [--size WxH] [--count-numbers] [--outage] KEY=VALUE...` where `KEY=VALUE` are
-//! lines of `[camera.v4l]`. Exit code 0 when the pictures came as the backend promises.
+//! `camera_probe [--pictures N] [--period-ms T] [--size WxH] [--count-numbers] [--stale-first] [--outage] KEY=VALUE...` where
+//! `KEY=VALUE` are lines of `[camera.v4l]`. Exit code 0 when the pictures came as the backend promises.
 
 use anyhow::{Context, Result, bail, ensure};
 use gv3::device::v4l_camera::V4lCamera;
@@ -14,6 +14,8 @@ struct Wanted {
     size_px: [u32; 2],
     /// The first eight bytes of every picture are the sender's number.
     counts_numbers: bool,
+    /// The driver's first picture of a stream may be one of before, as v4l2loopback's is; it proves nothing.
+    has_stale_first: bool,
     /// The camera is unplugged and plugged in again while it streams.
     has_outage: bool,
     table: String,
@@ -25,6 +27,7 @@ fn arguments() -> Result<Wanted> {
         period: Duration::from_millis(40),
         size_px: [640, 480],
         counts_numbers: false,
+        has_stale_first: false,
         has_outage: false,
         table: String::new(),
     };
@@ -40,6 +43,7 @@ fn arguments() -> Result<Wanted> {
                 wanted.size_px = [width.parse()?, height.parse()?];
             }
             "--count-numbers" => wanted.counts_numbers = true,
+            "--stale-first" => wanted.has_stale_first = true,
             "--outage" => wanted.has_outage = true,
             line if line.contains('=') => wanted.table.push_str(&format!("{line}\n")),
             other => bail!("unknown argument {other}"),
@@ -86,7 +90,10 @@ fn stream(camera: &mut V4lCamera, wanted: &Wanted, is_first: bool) -> Result<Str
         match camera.next_frame(Instant::now() + patience) {
             Ok(frame) => {
                 pictures += 1;
-                if let Some(last) = &last {
+                if pictures == 30 {
+                    println!("streaming");
+                }
+                if let Some(last) = last.as_ref().filter(|_| pictures > 2 || !wanted.has_stale_first) {
                     gaps += follows(last, &frame, wanted.counts_numbers)?;
                     let is_back = frame.device_time_nanos <= last.device_time_nanos;
                     backwards += u64::from(is_back != (frame.sequence < last.sequence));

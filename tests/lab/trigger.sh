@@ -1,23 +1,15 @@
 #!/usr/bin/env bash
 # The serial trigger controller behind a real kernel's cdc-acm driver, in the virtual-machine lab: a USB gadget whose far end is
-# the protocol's model, unplugged and plugged in again while it fires, and a port that echoes instead of answering.
-# Exit code 0 when all is well or there is no lab, 1 otherwise.
-set -euo pipefail
-cd "$(dirname "$0")/../.."
-lab=${GV3_LAB:-../shared/lab}
-cache=${LAB_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/gv3-lab}
-if [ ! -x "$lab/lab-run" ] || [ ! -e "$cache/base.cpio" ]; then
-    echo "skipped: no lab at $lab (GV3_LAB), or lab-build was not run"
-    exit 0
-fi
-cargo build --quiet --locked -p gv3-tests --example trigger_probe
-probe=${CARGO_TARGET_DIR:-target}/debug/examples/trigger_probe
+# the protocol's model, unplugged and plugged in again while it fires, wanted by two at once, and a port that echoes instead of
+# answering. Exit code 0 when all is well or there is no lab, 1 otherwise.
+. "$(dirname "$0")/common.sh"
+share_example gv3-tests trigger_probe
 
-"$lab/lab-run" --timeout 200 --share "$probe" -c '
+machine --timeout 250 --share "$work/share/trigger_probe" -c '
     set -e
     echo "== a port that echoes is no controller"
     usbsim vendor >/dev/null 2>&1 & echo_device=$!
-    wait-for /dev/ttyACM0
+    wait-for -t 60 /dev/ttyACM0
     ! trigger_probe host "port = \"/dev/ttyACM0\"" 2>/tmp/error
     grep "no trigger controller answers" /tmp/error
     kill $echo_device
@@ -30,23 +22,25 @@ probe=${CARGO_TARGET_DIR:-target}/debug/examples/trigger_probe
     ln -s $gadget/functions/acm.0 $gadget/configs/c.1
     plug_in() {
         echo dummy_udc.0 >$gadget/UDC
-        wait-for /dev/ttyGS0
+        wait-for -t 60 /dev/ttyGS0
         trigger_probe board /dev/ttyGS0 & board=$!
     }
     plug_in
-    for attempt in $(seq 50); do grep -qs LAB-T1 /sys/bus/usb/devices/*/serial && break; sleep 0.1; done
+    for attempt in $(seq 300); do grep -qs LAB-T1 /sys/bus/usb/devices/*/serial && break; sleep 0.1; done
     sleep 1
     trigger_probe host "serial = \"LAB-T1\""
     trigger_probe host "serial = \"LAB-T1\"" report_every=6
-    echo "== unplugged and plugged in again"
+    echo "== wanted by another program, unplugged and plugged in again"
     trigger_probe host --outage "serial = \"LAB-T1\"" >/tmp/said 2>&1 & host=$!
-    for attempt in $(seq 300); do grep -q "ready for the outage" /tmp/said && break; sleep 0.1; done
-    sleep 0.5
+    for attempt in $(seq 600); do grep -q "ready for the outage" /tmp/said && break; sleep 0.1; done
+    ! trigger_probe host "serial = \"LAB-T1\"" 2>/tmp/error
+    grep "in use by another program" /tmp/error
     echo "" >$gadget/UDC
-    kill $board
+    # Without its port it may have ended already.
+    kill $board 2>/dev/null || true
     sleep 1
     plug_in
     wait $host || { cat /tmp/said; exit 1; }
     cat /tmp/said
-    kill $board' | sed 's/^/   /'
+    kill $board || true' | sed 's/^/   /'
 echo "trigger: all well"

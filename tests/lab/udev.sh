@@ -4,26 +4,10 @@
 #
 # The vendor's device and its serial port come from the lab's own simulator, the DLPC350 (0451:6401) from
 # `gv3 virtual-scanner --attach` in the guest. Exit code 0 when all is well or there is no lab, 1 otherwise.
-set -euo pipefail
-HERE=$(cd "$(dirname "$(readlink -f "$0")")" && pwd)
-LAB=${GV3_LAB:-$HERE/../../../shared/lab}
-CACHE=${LAB_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/gv3-lab}
-if [ ! -x "$LAB/lab-run" ] || [ ! -e "$CACHE/base.cpio" ]; then
-    echo "skipped: no lab at $LAB (GV3_LAB), or lab-build was not run"
-    exit 0
-fi
-SHARE=("$HERE/../../udev/70-gv3.rules")
-if [ -z "${GV3:-}" ]; then
-    (cd "$HERE/../.." && cargo build --quiet --locked -p gv3)
-    GV3=$HERE/../../${CARGO_TARGET_DIR:-target}/debug/gv3
-    [ -z "${CARGO_TARGET_DIR:-}" ] || GV3=$CARGO_TARGET_DIR/debug/gv3
-fi
-STRIPPED=$(mktemp -d)
-trap 'rm -rf "$STRIPPED"' EXIT
-strip -o "$STRIPPED/gv3" "$GV3"
-SHARE+=("$STRIPPED/gv3")
+. "$(dirname "$0")/common.sh"
+share_gv3
 # shellcheck disable=SC2016
-"$LAB/lab-run" --udev --timeout 300 --share "${SHARE[@]}" -c '
+machine --udev --timeout 300 --share udev/70-gv3.rules "$work/share/gv3" -c '
 bad=0
 check() { if [ "$2" = "$3" ]; then echo "ok   $1: $2"; else echo "FAIL $1: $2, expected $3"; bad=1; fi; }
 node() { # name node
@@ -44,16 +28,17 @@ echo "member:x:1001:1001:member:/tmp:/bin/sh" >>/etc/passwd
 echo "member:x:1001:" >>/etc/group
 sed -i "s/^plugdev:.*/plugdev:x:46:member/" /etc/group
 usbsim vendor >/dev/null 2>&1 &
-wait-for /dev/ttyACM0; udevadm settle
+wait-for -t 60 /dev/ttyACM0; udevadm settle
 node vendor "$(usb_node 1209 0001)"
 node trigger /dev/ttyACM0
 check "trigger left alone by ModemManager" "$(udevadm info -q property -n /dev/ttyACM0 | grep ID_MM_PORT_IGNORE)" ID_MM_PORT_IGNORE=1
 # The same simulator shows a HID interface that is no DLPC350: it stays root alone.
 [ -e /dev/hidraw0 ] && check "another HID device" "$(stat -c %a:%G /dev/hidraw0)" 600:root
 gv3 virtual-scanner --attach --devices projector --projector dlpc350 >/tmp/virtual-scanner 2>&1 &
-for i in $(seq 100); do dlpc=$(usb_node 0451 6401); [ -n "$dlpc" ] && break; usleep 100000; done
+for i in $(seq 300); do dlpc=$(usb_node 0451 6401); [ -n "$dlpc" ] && break; usleep 100000; done
 udevadm settle
 node "DLPC350 USB device" "$dlpc"
 for h in /sys/class/hidraw/*; do grep -q "^HID_ID=.*:00000451:00006401" $h/device/uevent && raw=/dev/${h##*/}; done
 node "DLPC350 hidraw" "$raw"
 exit $bad'
+echo "udev: all well"

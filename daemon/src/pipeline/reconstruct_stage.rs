@@ -6,6 +6,7 @@ use super::monitor::{LivePicture, Monitor, Stage, thread_cpu};
 use super::record::RecordError;
 use super::recording::{Rebuilt, Recording};
 use super::{FrameSet, Reconstruction, Reconstructor};
+use crate::light::RejectedPixels;
 use gv3_codec::Scan;
 use gv3_protocol::session::{Event, EventKind};
 use std::sync::Arc;
@@ -16,6 +17,10 @@ use tracing::{debug_span, warn};
 
 /// Cause of drop: left out so that the encoder can catch up.
 pub(super) const LEFT_OUT: &str = "degradation_between";
+/// Cause of drop: the set's own frequencies contradict each other.
+pub(super) const CONTRADICTORY: &str = "patterns_contradict";
+/// Fewer pixels than this say nothing about a whole set.
+const LEAST_MEASURED: u64 = 1000;
 /// Cause of drop: the queue before the encoder is full.
 pub(super) const QUEUE_ENCODE: &str = "queue_encode";
 
@@ -97,6 +102,15 @@ impl ReconstructStage {
         self.rebuilt.time += begin.elapsed();
         self.rebuilt.sets += 1;
         self.rebuilt.rejected += result.rejected;
+        if is_contradictory(&result) {
+            warn!(
+                tick = set.tick,
+                "these are not the pictures of these patterns; `gv3 doctor` tells by how many they are off"
+            );
+            self.out.drop_work(CONTRADICTORY, set.tick, set.time_nanos);
+            self.show(set);
+            return Ok(());
+        }
         if let Some(event) = empty_event(&result) {
             self.out.tell(event)?;
         }
@@ -154,6 +168,19 @@ impl ReconstructStage {
     }
 }
 
+/// Whether the pictures of a set are not of its patterns. Numbers and times cannot tell that a sensor skipped the first trigger of
+/// a run; pictures can: of patterns one further on, two frequencies give phases that have nothing to do with each other. One
+/// pixel in five is refused for its fringe order, and of the others less than half make a surface. Noise and motion refuse far
+/// less than one in ten; a projector whose gamma is not corrected refuses more, but most of the rest is in its place. A
+/// sequence of one period has no such witness.
+fn is_contradictory(result: &Reconstruction) -> bool {
+    let RejectedPixels { fringe_order, depth_range, unmeshed, .. } = result.rejected;
+    let kept = result.scan.mesh.positions_mm.len() as u64;
+    let ordered = depth_range + unmeshed + kept;
+    let measured = fringe_order + ordered;
+    measured >= LEAST_MEASURED && 10 * fringe_order > measured && 2 * kept < ordered
+}
+
 /// Says of a scan without a surface what rejected most of its pixels: `empty_scan_low_modulation` when all was dark.
 fn empty_event(result: &Reconstruction) -> Option<Event> {
     let Scan { tick, time_nanos, mesh, .. } = &result.scan;
@@ -166,8 +193,37 @@ fn empty_event(result: &Reconstruction) -> Option<Event> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{Frame, PatternIndex, RigConfig};
+    use crate::device::{self, Frame, PatternIndex, RigConfig};
     use gv3_codec::GreyPicture;
+    use std::time::Duration;
+
+    /// What becomes of six pictures in a row, from any place in two sets of the simulator's.
+    #[test]
+    fn pictures_of_other_patterns_are_told_by_what_they_show() {
+        for (projector_gamma, velocity_mm_s) in [(1.0, [0.0; 3]), (2.2, [0.0; 3]), (1.0, [150.0, 0.0, 150.0])] {
+            let mut config = RigConfig::simulated();
+            (config.sim.projector_gamma, config.sim.velocity_mm_s) = (projector_gamma, velocity_mm_s);
+            let mut rig = device::open(&config).unwrap();
+            rig.camera.configure(&config.camera_settings()).unwrap();
+            rig.projector.load(&rig.sequence).unwrap();
+            rig.camera.start().unwrap();
+            rig.projector.play(&rig.timing).unwrap();
+            let mut next = || rig.camera.next_frame(Instant::now() + Duration::from_secs(20)).unwrap();
+            let frames: Vec<Frame> = (0..12).map(|_| next()).collect();
+            let mut reconstructor = Reconstructor::new(&rig.calibration, &rig.sequence, &rig.limits).unwrap();
+            for skipped in 0..=6 {
+                let set = FrameSet { tick: 0, time_nanos: 0, frames: frames[skipped..skipped + 6].to_vec() };
+                let result = reconstructor.reconstruct(&set).unwrap();
+                let is_other = skipped % 6 != 0;
+                assert_eq!(
+                    is_contradictory(&result),
+                    is_other,
+                    "{skipped} skipped, gamma {projector_gamma}: {:?}",
+                    result.rejected
+                );
+            }
+        }
+    }
 
     #[test]
     fn a_set_all_dark_or_clipped_is_an_event_by_its_cause() {

@@ -62,15 +62,10 @@ pub enum Refusal {
 impl Refusal {
     /// By status byte, which is not 0.
     pub(super) fn from_code(code: u8) -> Self {
-        match code {
-            1 => Self::Kind,
-            2 => Self::Length,
-            3 => Self::Field,
-            4 => Self::State,
-            5 => Self::Version,
-            6 => Self::Fault,
-            _ => Self::Other,
-        }
+        [Self::Kind, Self::Length, Self::Field, Self::State, Self::Version, Self::Fault]
+            .into_iter()
+            .find(|refusal| *refusal as u8 == code)
+            .unwrap_or(Self::Other)
     }
 }
 

@@ -10,8 +10,12 @@ use nusb::transfer::{
 };
 use nusb::{Device, DeviceInfo, Endpoint, ErrorKind, Interface, MaybeFuture};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+/// How long an interface that was just closed here may still be busy: nusb gives it back when the transfers that waited have
+/// been cancelled, in a thread of its own.
+const RELEASE_TIME: Duration = Duration::from_secs(2);
+const RELEASE_RETRY: Duration = Duration::from_millis(20);
 /// Transfers that wait for events at once, so that the device is asked without a gap.
 const EVENT_TRANSFERS: usize = 4;
 
@@ -39,7 +43,7 @@ impl NusbTransport {
         let device = info.open().wait().map_err(opening)?;
         let pipes =
             pipes(&device).ok_or_else(|| UsbError::Failed(format!("{place}: no interface of a gv3 projector")))?;
-        let interface = device.claim_interface(pipes.interface).wait().map_err(opening)?;
+        let interface = claim(&device, pipes.interface).map_err(opening)?;
         Ok(Self {
             out: Mutex::new(interface.endpoint(pipes.out).map_err(opening)?),
             reply: Mutex::new(interface.endpoint(pipes.reply).map_err(opening)?),
@@ -48,6 +52,19 @@ impl NusbTransport {
             pipes,
             place,
         })
+    }
+}
+
+/// Claims an interface, once it is free.
+fn claim(device: &Device, interface: u8) -> Result<Interface, nusb::Error> {
+    let until = Instant::now() + RELEASE_TIME;
+    loop {
+        match device.claim_interface(interface).wait() {
+            Err(error) if error.kind() == ErrorKind::Busy && Instant::now() < until => {
+                std::thread::sleep(RELEASE_RETRY);
+            }
+            claimed => return claimed,
+        }
     }
 }
 

@@ -175,6 +175,9 @@ impl V4lCamera {
 
     /// An error of the driver's; the device is gone if the error says so, or if it cannot be opened any more.
     fn failed(&mut self, action: &str, error: &io::Error) -> DeviceError {
+        if error.raw_os_error() == Some(EBUSY) {
+            return in_use(&self.node);
+        }
         if error.raw_os_error() == Some(ENODEV) || Device::with_path(&self.node.path).is_err() {
             return self.gone();
         }
@@ -186,7 +189,7 @@ impl V4lCamera {
         let device = driver_call(|| Device::with_path(&self.node.path)).map_err(|e| self.failed("opening", &e))?;
         // Before anything is set that another program relies on.
         kernel::lock(&device).map_err(|e| self.failed("opening", &e))?;
-        let format = agree_format(&device, &self.config, want)?;
+        let format = agree_format(&device, &self.node, &self.config, want)?;
         let wanted_nanos = match want.trigger {
             TriggerSource::Projector => self.picture_period_nanos,
             TriggerSource::Internal { period_nanos } => period_nanos,
@@ -374,14 +377,28 @@ impl Camera for V4lCamera {
     }
 }
 
+/// A camera serves one program at a time; drivers refuse the second when it sets a format, or when it begins to stream.
+fn in_use(node: &V4lNode) -> DeviceError {
+    let (name, path) = (&node.name, node.path.display());
+    // v4l2loopback says the same when there is nothing to show.
+    let or_else = if node.driver == "v4l2 loopback" { ", or nobody sends to it" } else { "" };
+    let action = format!("end that one (`fuser -v {path}` names it)");
+    DeviceError::Failed(format!("the camera \"{name}\" is in use by another program; {action}{or_else}"))
+}
+
 /// Sets size and pixel format; what the driver makes of them must be what was asked for.
-fn agree_format(device: &Device, config: &V4lConfig, want: &CameraSettings) -> Result<PictureFormat, DeviceError> {
+fn agree_format(
+    device: &Device,
+    node: &V4lNode,
+    config: &V4lConfig,
+    want: &CameraSettings,
+) -> Result<PictureFormat, DeviceError> {
     let fourcc = FourCC::new(&config.pixel_format.fourcc());
     // Stride and size 0 leave both to the driver; what comes back is used.
     let wanted = Format::new(want.width_px, want.height_px, fourcc);
     let set = driver_call(|| device.set_format(&wanted));
     let set = set.map_err(|e| match e.raw_os_error() {
-        Some(EBUSY) => DeviceError::Failed(format!("the camera: {}", in_use::told(&e))),
+        Some(EBUSY) => in_use(node),
         _ => DeviceError::config("camera.v4l.pixel_format", format!("the camera refuses {fourcc}: {e}")),
     })?;
     if set.fourcc != fourcc {
