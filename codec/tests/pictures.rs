@@ -1,4 +1,5 @@
 //! Pictures that are coded apart from the geometry of their groups.
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 #[allow(dead_code, reason = "other tests use the rest")]
 mod bumpy_disk;
