@@ -139,6 +139,8 @@ fn stopping_is_always_allowed(subject: &Subject) {
         rig.projector.stop().unwrap();
         rig.camera.stop().unwrap();
     }
+    // A real device is one program's, and one rig's, at a time.
+    drop(rig);
     let mut rig = playing(subject);
     rig.camera.next_frame(soon()).unwrap();
     for _ in 0..2 {
