@@ -187,12 +187,12 @@ mod tests {
         let alike = (0..25).fold(Uncoded::default(), |all, _| all.and(&scan));
         assert_eq!(alike.binary_bytes, 25 * (802 * 12 + 800 * 12 + 660));
         assert_eq!(alike.obj_bmp_bytes(), 25 * obj_bmp_bytes(&scan));
-        let scans: Vec<Scan> = (0..45).map(|i| strip(300 + 4 * i)).collect();
+        let scans: Vec<Scan> = (0..120).map(|i| strip(300 + 2 * i)).collect();
         let all = scans.iter().fold(Uncoded::default(), Uncoded::and);
         let exact: u64 = scans.iter().map(obj_bmp_bytes).sum();
         assert!(all.obj_bmp_bytes().abs_diff(exact) * 100 < exact, "{} of {exact}", all.obj_bmp_bytes());
-        let mut halves = scans[..20].iter().fold(Uncoded::default(), Uncoded::and);
-        halves += scans[20..].iter().fold(Uncoded::default(), Uncoded::and);
+        let mut halves = scans[..50].iter().fold(Uncoded::default(), Uncoded::and);
+        halves += scans[50..].iter().fold(Uncoded::default(), Uncoded::and);
         assert_eq!((halves, Uncoded::default().obj_bmp_bytes()), (all, 0));
     }
 }
