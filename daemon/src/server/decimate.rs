@@ -185,10 +185,10 @@ mod tests {
         let all =
             |most| [Decimation::new(&mesh, most), Decimation::of_scan(&wide, most), Decimation::of_scan(&narrow, most)];
         for (most, thin) in [100, 1000, 3000, 20_000, 35_000].into_iter().flat_map(|n| all(n).map(|thin| (n, thin))) {
-            // Rows and columns are whole numbers, of which a hundred vertices have few, and much of what they show is rim.
-            let (least, least_area) = if most == 100 { (0.7, 0.6) } else { (0.9, 0.8) };
+            // Of a surface of a hundred vertices much is rim, and cut off.
+            let least_area = if most == 100 { 0.79 } else { 0.94 };
             let share = thin.kept.len() as f64 / most as f64;
-            assert!((least..=1.0).contains(&share), "{} of {most}", thin.kept.len());
+            assert!((0.9..=1.0).contains(&share), "{} of {most}", thin.kept.len());
             let positions_mm = thin.kept.iter().map(|&v| mesh.positions_mm[v as usize]).collect();
             let shown = TriMesh { positions_mm, triangles: thin.triangles, uv: None };
             shown.validate().unwrap();
